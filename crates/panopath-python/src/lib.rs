@@ -1,0 +1,12 @@
+//! Arrays in, arrays out: the Python face of the `panopath` crate. No algorithm lives here.
+use pyo3::prelude::*;
+
+mod sphere;
+mod synthetic;
+mod table;
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    Ok(())
+}

@@ -1,0 +1,184 @@
+//! Vectors, rotations and similarities in d = 2 and d = 3, written once for both.
+//!
+//! A vector is a plain `[f64; D]`. A [`Rotation`] maps one frame to another and is named for it: `cam_from_world`
+//! takes world directions to camera directions. Small rotations act on the left, `exp(phi) * R`, in the target frame.
+
+/// Vector of `D` coordinates.
+pub type Vector<const D: usize> = [f64; D];
+/// Square matrix, row by row.
+pub type Matrix<const D: usize> = [[f64; D]; D];
+
+/// Inner product.
+#[inline(always)]
+pub fn dot<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
+    let mut sum = 0.0;
+    for c in 0..D {
+        sum += a[c] * b[c];
+    }
+    sum
+}
+
+/// `a + b`.
+#[inline(always)]
+pub fn add<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> Vector<D> {
+    std::array::from_fn(|c| a[c] + b[c])
+}
+
+/// `a - b`.
+#[inline(always)]
+pub fn sub<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> Vector<D> {
+    std::array::from_fn(|c| a[c] - b[c])
+}
+
+/// `s * a`.
+#[inline(always)]
+pub fn scale<const D: usize>(s: f64, a: &Vector<D>) -> Vector<D> {
+    std::array::from_fn(|c| s * a[c])
+}
+
+/// Euclidean length.
+#[inline(always)]
+pub fn norm<const D: usize>(a: &Vector<D>) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// `a / |a|`; the first axis where `a` has no direction.
+#[inline]
+pub fn normalized<const D: usize>(a: &Vector<D>) -> Vector<D> {
+    let length = norm(a);
+    if length > 0.0 && length.is_finite() {
+        scale(1.0 / length, a)
+    } else {
+        std::array::from_fn(|c| if c == 0 { 1.0 } else { 0.0 })
+    }
+}
+
+/// `m * a`.
+#[inline(always)]
+pub fn apply<const D: usize>(m: &Matrix<D>, a: &Vector<D>) -> Vector<D> {
+    std::array::from_fn(|r| dot(&m[r], a))
+}
+
+/// Angle between two unit vectors, accurate from 0 to pi (Kahan's form).
+pub fn angle_between<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
+    2.0 * norm(&sub(a, b)).atan2(norm(&add(a, b)))
+}
+
+/// Orthonormal basis of the tangent space of the sphere at the unit vector `a`: `D - 1` vectors.
+///
+/// For d = 2 the single vector is `a` turned by +90 degrees, so that tangent coordinates are signed angles.
+pub fn tangent_basis<const D: usize>(a: &Vector<D>) -> [Vector<D>; 2] {
+    let mut basis = [[0.0; D]; 2];
+    if D == 2 {
+        basis[0][0] = -a[1];
+        basis[0][1] = a[0];
+        return basis;
+    }
+    let smallest = (0..D).fold(0, |best, c| if a[c].abs() < a[best].abs() { c } else { best });
+    let mut first: Vector<D> = std::array::from_fn(|c| if c == smallest { 1.0 } else { 0.0 });
+    first = normalized(&sub(&first, &scale(a[smallest], a)));
+    basis[0] = first;
+    basis[1] = std::array::from_fn(|c| {
+        let (i, j) = ((c + 1) % D, (c + 2) % D);
+        a[i] * first[j] - a[j] * first[i]
+    });
+    basis
+}
+
+/// A rotation of the plane (`D = 2`) or of space (`D = 3`), held as an orthonormal matrix.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rotation<const D: usize = 3> {
+    matrix: Matrix<D>,
+}
+
+/// How far a matrix may be from orthonormal and still be read as a rotation.
+pub const ROTATION_TOLERANCE: f64 = 1e-6;
+
+impl<const D: usize> Rotation<D> {
+    /// The rotation that changes nothing.
+    pub fn identity() -> Self {
+        Self { matrix: std::array::from_fn(|r| std::array::from_fn(|c| if r == c { 1.0 } else { 0.0 })) }
+    }
+
+    /// Reads a matrix, or `None` where it is not a rotation to within [`ROTATION_TOLERANCE`].
+    pub fn from_matrix(matrix: Matrix<D>) -> Option<Self> {
+        for r in 0..D {
+            for c in 0..D {
+                let wanted = if r == c { 1.0 } else { 0.0 };
+                let error = (dot(&matrix[r], &matrix[c]) - wanted).abs();
+                if error.is_nan() || error > ROTATION_TOLERANCE {
+                    return None;
+                }
+            }
+        }
+        (determinant(&matrix) > 0.0).then_some(Self { matrix })
+    }
+
+    /// The matrix, row by row.
+    pub fn matrix(&self) -> &Matrix<D> {
+        &self.matrix
+    }
+
+    /// `self * a`.
+    #[inline]
+    pub fn apply(&self, a: &Vector<D>) -> Vector<D> {
+        apply(&self.matrix, a)
+    }
+
+    /// The inverse rotation: `world_from_cam` from `cam_from_world`.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        Self { matrix: std::array::from_fn(|r| std::array::from_fn(|c| self.matrix[c][r])) }
+    }
+
+    /// `c_from_a = c_from_b * b_from_a`.
+    #[must_use]
+    pub fn compose(&self, other: &Self) -> Self {
+        let mut matrix = [[0.0; D]; D];
+        for (r, row) in matrix.iter_mut().enumerate() {
+            for (c, entry) in row.iter_mut().enumerate() {
+                *entry = (0..D).map(|k| self.matrix[r][k] * other.matrix[k][c]).sum();
+            }
+        }
+        Self { matrix }
+    }
+}
+
+impl Rotation<2> {
+    /// Rotation by `angle_rad`, anticlockwise.
+    pub fn from_angle(angle_rad: f64) -> Self {
+        let (sin, cos) = angle_rad.sin_cos();
+        Self { matrix: [[cos, -sin], [sin, cos]] }
+    }
+}
+
+impl Rotation<3> {
+    /// Exponential of the rotation vector `phi` (axis times angle in radians), Rodrigues' formula.
+    pub fn exp(phi: &Vector<3>) -> Self {
+        let squared = dot(phi, phi);
+        let angle = squared.sqrt();
+        // sin(a)/a and (1 - cos a)/a^2, by series where the quotients lose digits
+        let (s, c) = if angle < 1e-4 {
+            (1.0 - squared / 6.0, 0.5 - squared / 24.0)
+        } else {
+            (angle.sin() / angle, 2.0 * (0.5 * angle).sin().powi(2) / squared)
+        };
+        let [x, y, z] = *phi;
+        let cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]];
+        let mut matrix = *Self::identity().matrix();
+        for (r, row) in matrix.iter_mut().enumerate() {
+            for (col, entry) in row.iter_mut().enumerate() {
+                let square: f64 = (0..3).map(|k| cross[r][k] * cross[k][col]).sum();
+                *entry += s * cross[r][col] + c * square;
+            }
+        }
+        Self { matrix }
+    }
+}
+
+fn determinant<const D: usize>(m: &Matrix<D>) -> f64 {
+    match D {
+        2 => m[0][0] * m[1][1] - m[0][1] * m[1][0],
+        _ => (0..D).map(|c| m[0][c] * (m[1][(c + 1) % D] * m[2][(c + 2) % D] - m[1][(c + 2) % D] * m[2][(c + 1) % D])).sum(),
+    }
+}

@@ -1,0 +1,1 @@
+//! Angles and pixels to bearings and back.

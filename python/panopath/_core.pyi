@@ -1,0 +1,21 @@
+"""The compiled core: arrays in, arrays out. Use ``panopath.steps``, which wraps these in records."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__version__: str
+
+def solve_positions(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    sigma_rad: npt.NDArray[np.float64] | None,
+    cam_from_world: npt.NDArray[np.float64] | None,
+    options: Mapping[str, Any],
+    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
+) -> dict[str, Any]: ...
