@@ -1,0 +1,32 @@
+"""From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
+
+from panopath import _core
+from panopath.model import (
+    Control,
+    InputError,
+    PanopathError,
+    PositionOptions,
+    Problem,
+    Scene,
+    Status,
+    Summary,
+    Tracks,
+)
+from panopath.steps import position_covariance, solve_positions
+
+__version__ = _core.__version__
+
+__all__ = [
+    "Control",
+    "InputError",
+    "PanopathError",
+    "PositionOptions",
+    "Problem",
+    "Scene",
+    "Status",
+    "Summary",
+    "Tracks",
+    "__version__",
+    "position_covariance",
+    "solve_positions",
+]
