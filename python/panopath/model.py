@@ -580,7 +580,7 @@ def _times(values: npt.ArrayLike, n_views: int) -> Float:
     if time_s.shape != (n_views,):
         raise InputError(f"time_s has shape {time_s.shape}, expected one time a view, ({n_views},)")
     if np.isinf(time_s).any():
-        raise InputError(f"time_s[{_first(np.isinf(time_s))}] is infinite, expected seconds, or NaN where unknown")
+        raise InputError(f"time_s[{_first(np.asarray(np.isinf(time_s)))}] is infinite, expected seconds, or NaN where unknown")
     return time_s
 
 
