@@ -1,6 +1,15 @@
 """From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
 
 from panopath import _core
+from panopath.formats import (
+    read_control,
+    read_problem,
+    read_scene,
+    read_tracks,
+    read_truth,
+    write_scene,
+    write_tracks,
+)
 from panopath.model import (
     Control,
     InputError,
@@ -28,5 +37,12 @@ __all__ = [
     "Tracks",
     "__version__",
     "position_covariance",
+    "read_control",
+    "read_problem",
+    "read_scene",
+    "read_tracks",
+    "read_truth",
     "solve_positions",
+    "write_scene",
+    "write_tracks",
 ]

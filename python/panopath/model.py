@@ -251,6 +251,18 @@ class Summary:
 
 
 @dataclass(frozen=True, eq=False)
+class Statistics:
+    """What each view, or each track, has to show for itself."""
+
+    #: (n,) number of observations.
+    n_observations: npt.NDArray[np.int64]
+    #: (n,) number of those that were used to the end.
+    n_inliers: npt.NDArray[np.int64]
+    #: (n,) root mean square of the angular residuals of the inliers, NaN where there are none.
+    rms_rad: Float
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Camera path and points. Rows that are not determined are NaN; the arrays are read-only."""
 
@@ -300,6 +312,10 @@ class Scene:
             found = getattr(self, name).shape
             if found != shape:
                 raise InputError(f"{name} has shape {found}, expected {shape}")
+        if self.tracks is not None and (
+            len(self.tracks) != len(self.inlier) or (self.tracks.n_views, self.tracks.n_tracks) != (n_views, n_tracks)
+        ):
+            raise InputError(f"the scene was not made from {self.tracks!r}: their numbers differ")
         for name, count in (("view_names", n_views), ("track_names", n_tracks)):
             names = getattr(self, name)
             if names is not None and len(names) != count:
@@ -316,6 +332,24 @@ class Scene:
     def d(self) -> int:
         """2 in the plane, 3 in space."""
         return int(self.centers.shape[1])
+
+    def view_statistics(self) -> Statistics:
+        """How many observations each view made, how many were used, and how well they fit."""
+        return self._statistics(None if self.tracks is None else self.tracks.view, len(self.centers))
+
+    def point_statistics(self) -> Statistics:
+        """How many observations each track has, how many were used, and how well they fit."""
+        return self._statistics(None if self.tracks is None else self.tracks.track, len(self.points))
+
+    def _statistics(self, owner: Int | None, count: int) -> Statistics:
+        if owner is None:
+            none = read_only(np.zeros(count, dtype=np.int64))
+            return Statistics(none, none, read_only(np.full(count, np.nan)))
+        used = self.inlier & np.isfinite(self.residual_rad)
+        squares = np.bincount(owner[used], weights=self.residual_rad[used] ** 2, minlength=count)
+        n_used = np.bincount(owner[used], minlength=count)
+        rms = np.where(n_used > 0, np.sqrt(squares / np.maximum(n_used, 1)), np.nan)
+        return Statistics(read_only(np.bincount(owner, minlength=count)), read_only(n_used), read_only(rms))
 
     @property
     def n_components(self) -> int:
@@ -479,7 +513,7 @@ def check_orientations(cam_from_world: npt.ArrayLike, n_views: int, d: int) -> F
     if found.shape != shape:
         meaning = "one heading_rad a view" if d == 2 else "one 3 x 3 rotation a view"
         raise InputError(f"cam_from_world has shape {found.shape}, expected {shape}, {meaning}")
-    finite = np.isfinite(found.reshape(n_views, -1)).all(axis=1)
+    finite: Bool = np.asarray(np.isfinite(found.reshape(n_views, -1)).all(axis=1))
     if not finite.all():
         raise InputError(f"cam_from_world[{_first(~finite)}] is not finite, expected a rotation")
     if d == 3:
@@ -580,7 +614,9 @@ def _times(values: npt.ArrayLike, n_views: int) -> Float:
     if time_s.shape != (n_views,):
         raise InputError(f"time_s has shape {time_s.shape}, expected one time a view, ({n_views},)")
     if np.isinf(time_s).any():
-        raise InputError(f"time_s[{_first(np.asarray(np.isinf(time_s)))}] is infinite, expected seconds, or NaN where unknown")
+        raise InputError(
+            f"time_s[{_first(np.asarray(np.isinf(time_s)))}] is infinite, expected seconds, or NaN where unknown"
+        )
     return time_s
 
 

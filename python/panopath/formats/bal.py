@@ -113,4 +113,4 @@ def _exp(rotation_vector: Float) -> Float:
     x, y, z = rotation_vector.T
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    return np.eye(3) + s[:, None, None] * cross + c[:, None, None] * (cross @ cross)
+    return np.asarray(np.eye(3) + s[:, None, None] * cross + c[:, None, None] * (cross @ cross))

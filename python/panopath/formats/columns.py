@@ -19,8 +19,6 @@ from panopath.model import Float, InputError, Int, Tracks
 
 #: Codes into a list of names.
 NameColumn = tuple[Int, list[str]]
-#: Says where a row of a table is: "line 7" of a file, "row 5" of a frame.
-Where = Callable[[int], str]
 
 #: Every way to write a direction: the columns of the plane, and the one that space adds.
 _FORMS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -34,6 +32,23 @@ _KNOWN = tuple(name for first, second in _FORMS.values() for name in (*first, se
 _FORMS_TEXT = "theta_deg,phi_deg | theta_rad,phi_rad | azimuth_deg,elevation_deg | x,y,z"
 _FULL_TURN_RAD = 2.0 * np.pi * (1.0 + 1e-12)
 _QUARTER_TURN_RAD = 0.5 * np.pi * (1.0 + 1e-12)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a table is from, for error messages."""
+
+    source: str
+    #: Says where a row is: "line 7" of a file, "row 5" of a frame.
+    where: Callable[[int], str]
+
+    def refuse(self, wrong: npt.NDArray[np.bool_], column: str, values: Float, expected: str) -> None:
+        """Raise an error about the first value that is wrong, where there is one."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(
+                f"{self.source}: {self.where(row)}, column {column}: found {values[row]:g}, expected {expected}"
+            )
 
 
 @dataclass(frozen=True)
@@ -106,8 +121,7 @@ def tracks_from_columns(
     view: NameColumn,
     track: NameColumn,
     numbers: dict[str, Float],
-    source: str,
-    where: Where,
+    place: Place,
 ) -> Tracks:
     """Make tracks of columns; ``numbers`` holds the direction, and sigma and ``time_s`` where the plan has them.
 
@@ -117,15 +131,15 @@ def tracks_from_columns(
         Naming the row and the column of the first value that cannot be.
     """
     if len(view[0]) == 0:
-        raise InputError(f"{source}: has a header but no observation")
-    bearing = _directions(plan.direction, [numbers[name] for name in plan.direction], source, where)
+        raise InputError(f"{place.source}: has a header but no observation")
+    bearing = _directions(plan.direction, [numbers[name] for name in plan.direction], place)
     sigma_rad = None
     if plan.sigma is not None:
         sigma = numbers[plan.sigma]
-        _refuse(~(sigma > 0.0), plan.sigma, sigma, "a positive number", source, where)
+        place.refuse(~(sigma > 0.0), plan.sigma, sigma, "a positive number")
         sigma_rad = np.radians(sigma) if plan.sigma == "sigma_deg" else sigma
     view_names, track_names = _own_names(view[1]), _own_names(track[1])
-    time_s = _view_times(numbers["time_s"], view, source, where) if plan.has_time else None
+    time_s = _view_times(numbers["time_s"], view, place) if plan.has_time else None
     return Tracks.from_arrays(
         view[0], track[0], bearing, len(view[1]), len(track[1]), sigma_rad, time_s, view_names, track_names
     )
@@ -136,42 +150,36 @@ def _own_names(names: list[str]) -> list[str] | None:
     return None if all(name == str(index) for index, name in enumerate(names)) else names
 
 
-def _directions(columns: tuple[str, ...], values: list[Float], source: str, where: Where) -> Float:
+def _directions(columns: tuple[str, ...], values: list[Float], place: Place) -> Float:
     if columns[0] == "x":
         vectors = np.stack(values, axis=1)
         length = np.linalg.norm(vectors, axis=1)
         wrong = ~((length > 0.0) & np.isfinite(length))
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise InputError(f"{source}: {where(row)}, columns {','.join(columns)}: no direction, the length is zero")
+            raise InputError(
+                f"{place.source}: {place.where(row)}, columns {','.join(columns)}: no direction, the length is zero"
+            )
         # a vector that is of unit length but for rounding stays as it is: files then come back bit for bit
         length[np.abs(length - 1.0) < 4.5e-16] = 1.0
-        return vectors / length[:, None]
+        return np.asarray(vectors / length[:, None])
     in_degrees = columns[0].endswith("_deg")
     angles = [np.radians(v) if in_degrees else v for v in values]
     unit = "degrees" if in_degrees else "radians"
     turn, quarter = ("360", "90") if in_degrees else ("2 pi", "pi/2")
     full = f"{unit} from -{turn} to {turn}"
-    _refuse(np.abs(angles[0]) > _FULL_TURN_RAD, columns[0], values[0], full, source, where)
+    place.refuse(np.abs(angles[0]) > _FULL_TURN_RAD, columns[0], values[0], full)
     cos, sin = np.cos(angles[0]), np.sin(angles[0])
     flat = (sin, cos) if columns[0] == "azimuth_deg" else (cos, sin)
     if len(columns) == 1:
         return np.stack(flat, axis=1)
     half = f"{unit} from -{quarter} to {quarter}"
-    _refuse(np.abs(angles[1]) > _QUARTER_TURN_RAD, columns[1], values[1], half, source, where)
+    place.refuse(np.abs(angles[1]) > _QUARTER_TURN_RAD, columns[1], values[1], half)
     level = np.cos(angles[1])
     return np.stack((level * flat[0], level * flat[1], np.sin(angles[1])), axis=1)
 
 
-def _refuse(
-    wrong: npt.NDArray[np.bool_], column: str, values: Float, expected: str, source: str, where: Where
-) -> None:
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(f"{source}: {where(row)}, column {column}: found {values[row]:g}, expected {expected}")
-
-
-def _view_times(time_s: Float, view: NameColumn, source: str, where: Where) -> Float:
+def _view_times(time_s: Float, view: NameColumn, place: Place) -> Float:
     """Time of each view: the rows of a view agree, or say nothing."""
     codes, names = view
     times = np.full(len(names), np.nan)
@@ -182,7 +190,7 @@ def _view_times(time_s: Float, view: NameColumn, source: str, where: Where) -> F
         row = int(np.argmax(wrong))
         name = names[codes[row]]
         raise InputError(
-            f"{source}: {where(row)}, column time_s: view {name} has the times {time_s[row]:g} and "
+            f"{place.source}: {place.where(row)}, column time_s: view {name} has the times {time_s[row]:g} and "
             f"{times[codes[row]]:g}, expected one time a view"
         )
     return times

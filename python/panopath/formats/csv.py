@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -98,7 +99,7 @@ def read_bearings(data: bytes, source: str) -> Tracks:
     plan = columns.plan_columns(header, source)
     table = read_table(data, source, header, [plan.role(name) for name in header])
     return columns.tracks_from_columns(
-        plan, table.names["view"], table.names["track"], table.numbers, source, table.where
+        plan, table.names["view"], table.names["track"], table.numbers, columns.Place(source, table.where)
     )
 
 
@@ -274,15 +275,19 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
     header = ["view", "track", *(wanted[: len(values)])]
     cells = [[repr(v) for v in column.tolist()] for column in values]
     if tracks.sigma_rad is not None:
-        name, sigma = ("sigma_rad", tracks.sigma_rad) if form in ("xyz", "radians") else (
-            "sigma_deg",
-            np.degrees(tracks.sigma_rad),
+        name, sigma = (
+            ("sigma_rad", tracks.sigma_rad)
+            if form in ("xyz", "radians")
+            else (
+                "sigma_deg",
+                np.degrees(tracks.sigma_rad),
+            )
         )
         header.append(name)
         cells.append([repr(v) for v in sigma.tolist()])
     if tracks.time_s is not None:
         header.append("time_s")
-        texts = ["" if v != v else repr(v) for v in tracks.time_s.tolist()]
+        texts = ["" if math.isnan(v) else repr(v) for v in tracks.time_s.tolist()]
         cells.append([texts[i] for i in tracks.view.tolist()])
     out = io.StringIO(newline="")
     writer = csv.writer(out, lineterminator="\n")

@@ -28,13 +28,19 @@ def read_frame(frame: Any, source: str = "frame") -> Tracks:
     given = [str(name) for name in _column_names(frame)]
     header = columns.clean_header(given, source)
     plan = columns.plan_columns(header, source)
-    arrays = {name: _array(frame, original, source) for name, original in zip(header, given, strict=True)
-              if plan.role(name) != "skip"}
-    numbers = {name: _numbers(values, name, plan.role(name), source) for name, values in arrays.items()
-               if plan.role(name) != "name"}
+    arrays = {
+        name: _array(frame, original, source)
+        for name, original in zip(header, given, strict=True)
+        if plan.role(name) != "skip"
+    }
+    numbers = {
+        name: _numbers(values, name, plan.role(name), source)
+        for name, values in arrays.items()
+        if plan.role(name) != "name"
+    }
     view = _names(arrays["view"], "view", source)
     track = _names(arrays["track"], "track", source)
-    return columns.tracks_from_columns(plan, view, track, numbers, source, where)
+    return columns.tracks_from_columns(plan, view, track, numbers, columns.Place(source, where))
 
 
 def where(row: int) -> str:
