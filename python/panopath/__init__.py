@@ -22,6 +22,7 @@ from panopath.model import (
     Tracks,
 )
 from panopath.steps import position_covariance, solve_positions
+from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
 
@@ -34,6 +35,7 @@ __all__ = [
     "Scene",
     "Status",
     "Summary",
+    "SyntheticWorld",
     "Tracks",
     "__version__",
     "position_covariance",
@@ -42,6 +44,7 @@ __all__ = [
     "read_scene",
     "read_tracks",
     "read_truth",
+    "simulate",
     "solve_positions",
     "write_scene",
     "write_tracks",

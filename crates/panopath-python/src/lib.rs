@@ -9,5 +9,6 @@ mod table;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     table::register(module)?;
+    synthetic::register(module)?;
     Ok(())
 }
