@@ -216,6 +216,8 @@ def _turned_about_z(heading_rad: Float) -> Float:
 def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
     """Read known positions: the columns ``view`` or ``track`` or both (one of them empty in each row), and ``x,y[,z]``.
 
+    A row whose coordinates are all empty says nothing: ``cameras.csv`` and ``points.csv`` can be read.
+
     Raises
     ------
     InputError
@@ -228,7 +230,7 @@ def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
     axes = [name for name in ("x", "y", "z") if name in header]
     if not kinds or axes[:2] != ["x", "y"]:
         raise InputError(f"{source}: expected the columns view,x,y[,z] or track,x,y[,z] (columns: {','.join(header)})")
-    roles = ["optional_name" if n in kinds else "number" if n in axes else "skip" for n in header]
+    roles = ["optional_name" if n in kinds else "optional" if n in axes else "skip" for n in header]
     table = read_table(data, source, header, roles)
     known: dict[str, dict[str | int, list[float]]] = {"view": {}, "track": {}}
     for row in range(len(table.lines)):
@@ -239,8 +241,13 @@ def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
         kind, name = given[0]
         if name in known[kind]:
             raise InputError(f"{source}: {table.where(row)}, column {kind}: {name} is given twice")
-        known[kind][name] = [float(table.numbers[axis][row]) for axis in axes]
-    if not len(table.lines):
+        position = [float(table.numbers[axis][row]) for axis in axes]
+        empty = [axis for axis, value in zip(axes, position, strict=True) if math.isnan(value)]
+        if empty and len(empty) < len(axes):
+            raise InputError(f"{source}: {table.where(row)}, column {empty[0]}: empty, expected a finite number")
+        if not empty:
+            known[kind][name] = position
+    if not known["view"] and not known["track"]:
         raise InputError(f"{source}: has a header but no position")
     return Control(views=known["view"], points=known["track"], rotation=rotation)
 
