@@ -6,9 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
-
 import panopath as pp
+import pytest
 from panopath.formats.structure import known_scene
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

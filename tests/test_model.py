@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import panopath as pp
 import polars as pl
 import pytest
-
-import panopath as pp
 from panopath.model import check_orientations
 
 GOOD: dict[str, Any] = {

@@ -6,9 +6,9 @@ A header is required; its columns say what is meant (``panopath.formats.columns`
 from __future__ import annotations
 
 import csv
-import io
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -24,6 +24,8 @@ from panopath.model import Control, Float, InputError, Tracks
 Form = Literal["xyz", "degrees", "radians", "compass"]
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
+#: What a cell may hold only in quotes.
+_SPECIAL = re.compile(r'[",\r\n]')
 _HEADINGS = ("heading_deg", "compass_deg")
 _FORM_COLUMNS: dict[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),
@@ -274,9 +276,11 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
         raise InputError(f"form is {form!r}, expected one of {', '.join(map(repr, _FORM_COLUMNS))}")
     views, track_labels = tracks.view_labels(), tracks.track_labels()
     for kind, names in (("view", views), ("track", track_labels)):
-        odd = next((name for name in names if not name or name != name.strip()), None)
+        odd = next((name for name in names if not name or name != name.strip() or "\0" in name), None)
         if odd is not None:
-            raise InputError(f"the {kind} name {odd!r} is empty or has blanks around it and would not come back")
+            raise InputError(
+                f"the {kind} name {odd!r} is empty or has blanks around it or a NUL: it would not come back"
+            )
     wanted = _FORM_COLUMNS[form]
     values = direction_columns(tracks.bearing, form)
     header = ["view", "track", *(wanted[: len(values)])]
@@ -296,13 +300,24 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
         header.append("time_s")
         texts = ["" if math.isnan(v) else repr(v) for v in tracks.time_s.tolist()]
         cells.append([texts[i] for i in tracks.view.tolist()])
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    view_cells = [views[i] for i in tracks.view.tolist()]
-    track_cells = [track_labels[i] for i in tracks.track.tolist()]
-    writer.writerows(zip(view_cells, track_cells, *cells, strict=True))
-    write_bytes(Path(path), out.getvalue().encode("utf-8"))
+    view_cells, track_cells = quoted(views), quoted(track_labels)
+    rows = zip(
+        [view_cells[i] for i in tracks.view.tolist()],
+        [track_cells[i] for i in tracks.track.tolist()],
+        *cells,
+        strict=True,
+    )
+    write_bytes(Path(path), table_bytes(header, rows))
+
+
+def quoted(names: Sequence[str]) -> list[str]:
+    """Names as cells: in quotes where something in them would end the cell."""
+    return ['"' + name.replace('"', '""') + '"' if _SPECIAL.search(name) else name for name in names]
+
+
+def table_bytes(header: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+    """Join cells that are quoted where they need it."""
+    return "\n".join([",".join(header), *map(",".join, rows), ""]).encode("utf-8")
 
 
 def write_orientations(cam_from_world: Float, names: Sequence[str], path: str | PathLike[str]) -> None:
@@ -317,11 +332,8 @@ def write_orientations(cam_from_world: Float, names: Sequence[str], path: str | 
         header, values = ["view", "heading_deg"], np.degrees(cam_from_world)[:, None]
     else:
         header, values = ["view", *_QUATERNION], quaternion_from_rotation(cam_from_world)
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([name, *map(repr, row)] for name, row in zip(names, values.tolist(), strict=True))
-    write_bytes(Path(path), out.getvalue().encode("utf-8"))
+    cells = zip(quoted(names), *(map(repr, column) for column in values.T.tolist()), strict=True)
+    write_bytes(Path(path), table_bytes(header, cells))
 
 
 def direction_columns(bearing: Float, form: str) -> list[Float]:
