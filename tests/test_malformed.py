@@ -20,7 +20,7 @@ def bal(first: str = "1 1 1", observation: str = "0 0 1 1", camera: str = "0 0 0
     return f"{first}\n{observation}\n" + "\n".join(camera.split()) + "\n1\n2\n3\n"
 
 
-def colmap(cameras: str | None = None, images: str | None = None, points: str | None = None) -> dict[str, str]:
+def colmap(cameras: str | None = None, images: str | None = None, points: str | None = None) -> dict[str, str | bytes]:
     return {
         "cameras.txt": cameras if cameras is not None else "1 PINHOLE 100 100 50 50 50 50\n",
         "images.txt": images if images is not None else "1 1 0 0 0 0 0 0 1 a.jpg\n10 10 7\n",
@@ -59,7 +59,7 @@ TRACKS: dict[str, tuple[str | bytes | dict[str, str | bytes], list[str]]] = {
     "above the pole": (GOOD + "c,p,0,90.5\n", ["line 4, column phi_deg", "90.5", "-90 to 90"]),
     "beyond a turn": (GOOD + "c,p,361,0\n", ["line 4, column theta_deg", "361", "-360 to 360"]),
     "degrees called radians": ("view,track,theta_rad\na,p,45\n", ["line 2, column theta_rad", "radians"]),
-    "no length": ("view,track,x,y,z\na,p,0,0,0\n", ["line 2, columns x,y,z", "the length is 0"]),
+    "no length": ("view,track,x,y,z\na,p,0,0,0\n", ["line 2, columns x,y,z", "length is 0"]),
     "too long": ("view,track,x,y\na,p,1e200,1e200\n", ["line 2", "x,y"]),
     "sigma zero": ("view,track,theta_deg,sigma_deg\na,p,0,1\na,q,0,0\n", ["line 3, column sigma_deg", "positive"]),
     "sigma empty": ("view,track,theta_deg,sigma_deg\na,p,0,\n", ["line 2, column sigma_deg", "empty"]),

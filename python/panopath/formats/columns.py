@@ -160,7 +160,8 @@ def _directions(columns: tuple[str, ...], values: list[Float], place: Place) -> 
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
-                f"{place.source}: {place.where(row)}, columns {','.join(columns)}: no direction, the length is {length[row]:g}"
+                f"{place.source}: {place.where(row)}, columns {','.join(columns)}: no direction, its length is "
+                f"{length[row]:g}"
             )
         # a vector that is of unit length but for rounding stays as it is: files then come back bit for bit
         length[np.abs(length - 1.0) < 4.5e-16] = 1.0
