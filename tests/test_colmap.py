@@ -83,7 +83,7 @@ def confirm(folder: Path, scene: pp.Scene, component: int) -> None:
 def test_pixels_are_pycolmaps(turned: pp.SyntheticWorld) -> None:
     camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=4096, height=2048, params=[4096.0, 2048.0])
     pixels = equirectangular_pixels(turned.tracks.bearing, 4096, 2048)
-    np.testing.assert_allclose(camera.cam_ray_from_img(pixels), turned.tracks.bearing, atol=1e-12)
+    np.testing.assert_allclose(np.asarray(camera.cam_ray_from_img(pixels)), turned.tracks.bearing, atol=1e-12)
 
 
 def test_pycolmap_confirms_the_reprojection_error(tmp_path: Path, turned: pp.SyntheticWorld) -> None:
@@ -101,6 +101,7 @@ def test_reads_its_own_model_back(tmp_path: Path, turned: pp.SyntheticWorld) -> 
     solved = np.isfinite(scene.centers[:, 0])
     assert list(back.tracks.view_labels()) == [n for n, s in zip(scene.view_labels(), solved, strict=True) if s]
     np.testing.assert_allclose(back.scene.centers, scene.centers[solved], atol=1e-13)
+    assert back.cam_from_world is not None
     np.testing.assert_allclose(back.cam_from_world, scene.cam_from_world[solved], atol=1e-14)
     # an observation is known by its point and its view; both files are in the order of the points within a view
     assert len(back.tracks) == scene.inlier.sum()
