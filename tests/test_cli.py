@@ -143,7 +143,7 @@ def test_control(run: Run, tmp_path: Path) -> None:
     [
         (("solve",), "Missing argument"),
         (("solve", "b.csv", "--method", "magic"), "magic"),
-        (("solve", "b.csv", "--threads", "0"), "0"),
+        (("solve", "b.csv", "--threads", "0"), "--threads"),
         (("solve", "none.csv"), "none.csv: there is no such file"),
         (("solve", "b.csv", "--sigma-deg", "-1"), "--sigma-deg is -1.0"),
         (("solve", "b.csv", "-o", "mine"), "not panopath's"),
