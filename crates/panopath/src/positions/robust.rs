@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::descent::{Effort, chords, descend, inliers, noise_scale};
+use super::descent::{Effort, FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale};
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
@@ -55,7 +55,7 @@ pub(super) fn solve_part<const D: usize>(
     let clock = Instant::now();
     let errors = chords(part, &estimate);
     let mut sigma = noise_scale(part, &errors, |_| true);
-    let mut inlier = inliers(part, &errors, sigma);
+    let mut inlier = inliers(part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
     let mut effort = Effort::rough(max_iterations, part.n_observations());
     let (converged, nothing_near) = loop {
         let parallel = without_parallax(part, &inlier, sigma);
@@ -98,7 +98,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     scale_to_unit(&mut estimate);
     let chord = chords(part, &estimate);
     let sigma = noise_scale(part, &chord, |_| true);
-    let inlier = inliers(part, &chord, sigma);
+    let inlier = inliers(part, &chord, OUTLIER_SIGMAS * sigma);
     if status == Status::Converged {
         let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
         assemble_information(part, &mut system, &estimate, &inlier, sigma);
