@@ -548,11 +548,11 @@ def _show_demo(  # noqa: PLR0917 (prints what was found, all of it)
     missed = int((found & world.outlier).sum())
     lost = int((~found & ~world.outlier).sum())
     console.print(f"wrong bearings kept: {missed:,} of {int(world.outlier.sum()):,}; good ones dropped: {lost:,}")
-    console.print(f"camera error against the truth: {1e3 * result.camera_rms:.4g} mm rms")
+    console.print(f"camera error against truth:     {1e3 * result.camera_rms:.4g} mm rms")
     if expected > 0.0:
-        console.print(
-            f"best possible (Cramer-Rao bound):  {1e3 * expected:.4g} mm rms; ratio {result.camera_rms / expected:.3f}"
-        )
+        console.print(f"expected of the best estimator: {1e3 * expected:.4g} mm rms (Cramer-Rao bound)")
+        ratio = result.camera_rms / expected
+        console.print(f"ratio: {ratio:.2f} (single runs scatter around 1: a few slow bends of the path rule the error)")
 
 
 if __name__ == "__main__":

@@ -140,7 +140,7 @@ def read_scene(folder: str | PathLike[str]) -> Scene:
         raise InputError(f"{place / _MARK}: has the layout {mark['panopath'].get('layout')}, expected {_LAYOUT}")
     path = place / "scene.npz"
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         summary = _summary(mark["summary"])
         tracks = _tracks(arrays)
