@@ -49,6 +49,7 @@ stubs: $(STAMPS)/package $(STAMPS)/dev  ## does _core.pyi say what the compiled 
 
 layers: $(STAMPS)/package $(STAMPS)/dev  ## do imports run one way?
 	$(BIN)/lint-imports
+	@! grep -rnE --include='*.py' '^ *(from panopath import|import panopath)' python/panopath | grep -v 'from panopath import _core$$'
 
 test-rust: $(STAMPS)/venv  ## cargo test, with the documentation's examples
 	cargo test --workspace

@@ -10,7 +10,6 @@ Run: ``python examples/robot_landmarks.py``
 from __future__ import annotations
 
 import numpy as np
-
 import panopath as pp
 from panopath.cameras import bearings_from_circular
 

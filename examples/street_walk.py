@@ -1,7 +1,7 @@
 """A walk with a panoramic camera: simulate, solve, compare with the truth and with the best possible, write files.
 
-Run: ``python examples/street_walk.py [FOLDER]``; the folder (default ``out/street_walk``) can be opened with COLMAP, with
-a viewer for PLY, and with a spreadsheet.
+Run: ``python examples/street_walk.py [FOLDER]``. The folder (default ``out/street_walk``) is for COLMAP, a viewer of PLY,
+and a spreadsheet.
 """
 
 from __future__ import annotations
@@ -13,14 +13,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-
 import panopath as pp
 
 
 def main() -> None:
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "out/street_walk")
     world = pp.simulate(
-        "street", n_views=60, n_points=3000, seed=4, noise_rad=np.radians(0.05), outlier_fraction=0.1, orientations="random"
+        "street",
+        n_views=60,
+        n_points=3000,
+        seed=4,
+        noise_rad=np.radians(0.05),
+        outlier_fraction=0.1,
+        orientations="random",
     )
     begin = time.perf_counter()
     scene = pp.solve_positions(world.tracks, world.cam_from_world)
