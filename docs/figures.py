@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
-
 import panopath as pp
+from matplotlib.figure import Figure
 
 Float = npt.NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """A walk with a panoramic camera: simulate, solve, compare with the truth and with the best possible, write files.
 
-Run: ``python examples/street_walk.py [FOLDER]``. The folder (default ``out/street_walk``) is for COLMAP, a viewer of PLY,
-and a spreadsheet.
+Run: ``python examples/street_walk.py [FOLDER]``. The folder (default ``out/street_walk``) is for COLMAP, PLY viewers
+and spreadsheets.
 """
 
 from __future__ import annotations
