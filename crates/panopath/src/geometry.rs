@@ -179,6 +179,8 @@ impl Rotation<3> {
 fn determinant<const D: usize>(m: &Matrix<D>) -> f64 {
     match D {
         2 => m[0][0] * m[1][1] - m[0][1] * m[1][0],
-        _ => (0..D).map(|c| m[0][c] * (m[1][(c + 1) % D] * m[2][(c + 2) % D] - m[1][(c + 2) % D] * m[2][(c + 1) % D])).sum(),
+        _ => (0..D)
+            .map(|c| m[0][c] * (m[1][(c + 1) % D] * m[2][(c + 2) % D] - m[1][(c + 2) % D] * m[2][(c + 1) % D]))
+            .sum(),
     }
 }

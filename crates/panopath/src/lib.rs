@@ -2,6 +2,8 @@
 #![warn(missing_docs)]
 
 pub mod geometry;
+pub mod least_squares;
+pub mod positions;
 pub mod sphere;
 pub mod synthetic;
 pub mod tracks;

@@ -1,0 +1,276 @@
+//! Sparse symmetric positive definite systems `S x = b`, the pattern analysed once and the values factorised many times.
+//!
+//! `S` is made of dense `D x D` blocks, one for each pair of coupled nodes. The nodes are ordered by approximate minimum
+//! degree on the block graph, and the order is expanded to scalars. This is the only file that names faer.
+//!
+//! Same values, same bytes: the factorisation is told a fixed degree of parallelism, whatever the number of threads.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
+use faer::sparse::linalg::amd;
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Conj, MatMut, Par, Side};
+
+/// Why a system could not be solved.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LeastSquaresError {
+    /// A pivot was not positive: the matrix is singular to working precision.
+    #[error("the system is singular: pivot {pivot} is not positive")]
+    Singular {
+        /// Index of the scalar unknown, in elimination order.
+        pivot: usize,
+    },
+    /// The factorisation ran out of memory or of index range.
+    #[error("the system is too large to factorise: {0}")]
+    TooLarge(String),
+}
+
+/// Lower triangle of a symmetric block matrix, by columns: block rows `row[col_start[c]..col_start[c + 1]]` of column `c`
+/// ascend and begin with the diagonal block.
+#[derive(Debug, Clone)]
+pub struct BlockPattern {
+    /// Where each block column begins in `row`; one more entry than columns.
+    pub col_start: Vec<u32>,
+    /// Block row of each block.
+    pub row: Vec<u32>,
+}
+
+impl BlockPattern {
+    /// Number of block columns.
+    pub fn n_nodes(&self) -> usize {
+        self.col_start.len() - 1
+    }
+
+    /// Block indices of column `c`.
+    pub fn column(&self, c: usize) -> std::ops::Range<usize> {
+        self.col_start[c] as usize..self.col_start[c + 1] as usize
+    }
+}
+
+/// Degree of parallelism that the factorisation is told: a constant, so that its result does not depend on the threads.
+const FACTOR_PARALLELISM: usize = 4;
+/// Below this many flops a factorisation is not worth splitting.
+const PARALLEL_FLOPS: f64 = 2e7;
+
+/// Order of elimination, and what it will cost.
+#[derive(Debug, Clone)]
+pub struct Ordering {
+    forward: Vec<u32>,
+    inverse: Vec<u32>,
+    /// Multiplications and additions of one factorisation, predicted.
+    pub factor_flops: f64,
+}
+
+/// Orders the nodes of the block graph by approximate minimum degree.
+///
+/// # Errors
+/// [`LeastSquaresError::TooLarge`].
+pub fn minimum_degree<const D: usize>(pattern: &BlockPattern) -> Result<Ordering, LeastSquaresError> {
+    let n = pattern.n_nodes();
+    let graph = SymbolicSparseColMatRef::new_checked(n, n, &pattern.col_start, None, &pattern.row);
+    let mut memory = MemBuffer::try_new(amd::order_maybe_unsorted_scratch::<u32>(n, pattern.row.len()))
+        .map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+    let (mut forward, mut inverse) = (vec![0u32; n], vec![0u32; n]);
+    let count = amd::order_maybe_unsorted(
+        &mut forward,
+        &mut inverse,
+        graph,
+        amd::Control::default(),
+        MemStack::new(&mut memory),
+    )
+    .map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+    let factor_flops = 2.0 * (D * D * D) as f64 * (count.n_mult_subs_ldl + n as f64);
+    Ok(Ordering { forward, inverse, factor_flops })
+}
+
+/// A sparse Cholesky factorisation `S = L L^T` whose pattern is fixed.
+pub struct SparseCholesky {
+    symbolic: SymbolicCholesky<u32>,
+    col_ptr: Vec<u32>,
+    row_idx: Vec<u32>,
+    factor: Vec<f64>,
+    memory: MemBuffer,
+    par: Par,
+}
+
+impl SparseCholesky {
+    /// Analyses the pattern of a matrix of `D x D` blocks.
+    ///
+    /// # Errors
+    /// [`LeastSquaresError::TooLarge`].
+    pub fn analyse<const D: usize>(pattern: &BlockPattern, ordering: &Ordering) -> Result<Self, LeastSquaresError> {
+        let n = pattern.n_nodes() * D;
+        let (col_ptr, row_idx) = scalar_pattern::<D>(pattern);
+        let expand = |perm: &[u32]| -> Vec<u32> {
+            perm.iter().flat_map(|&node| (0..D as u32).map(move |c| node * D as u32 + c)).collect()
+        };
+        let (forward, inverse) = (expand(&ordering.forward), expand_inverse::<D>(&ordering.inverse));
+        let matrix = SymbolicSparseColMatRef::new_checked(n, n, &col_ptr, None, &row_idx);
+        let perm = faer::perm::PermRef::new_checked(&forward, &inverse, n);
+        let symbolic = factorize_symbolic_cholesky(
+            matrix,
+            Side::Lower,
+            SymmetricOrdering::Custom(perm),
+            CholeskySymbolicParams::default(),
+        )
+        .map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+        let par = if ordering.factor_flops > PARALLEL_FLOPS { Par::rayon(FACTOR_PARALLELISM) } else { Par::Seq };
+        let factor_scratch = symbolic.factorize_numeric_llt_scratch::<f64>(par, Default::default());
+        let memory = MemBuffer::try_new(factor_scratch).map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+        let factor = vec![0.0; symbolic.len_val()];
+        Ok(Self { symbolic, col_ptr, row_idx, factor, memory, par })
+    }
+
+    /// Number of scalar unknowns.
+    pub fn dim(&self) -> usize {
+        self.col_ptr.len() - 1
+    }
+
+    /// Number of stored values of the lower triangle.
+    pub fn n_values(&self) -> usize {
+        self.row_idx.len()
+    }
+
+    /// Factorises the matrix with these lower-triangle values, in the order of [`scalar_slots`].
+    ///
+    /// # Errors
+    /// [`LeastSquaresError::Singular`] where a pivot is not positive.
+    pub fn factorise(&mut self, values: &[f64]) -> Result<(), LeastSquaresError> {
+        let n = self.dim();
+        let symbolic = SymbolicSparseColMatRef::new_checked(n, n, &self.col_ptr, None, &self.row_idx);
+        let matrix = SparseColMatRef::new(symbolic, values);
+        self.symbolic
+            .factorize_numeric_llt(
+                &mut self.factor,
+                matrix,
+                Side::Lower,
+                LltRegularization::default(),
+                self.par,
+                MemStack::new(&mut self.memory),
+                Default::default(),
+            )
+            .map(|_| ())
+            .map_err(|LltError::NonPositivePivot { index }| LeastSquaresError::Singular { pivot: index })
+    }
+
+    /// Solves in place for `n_rhs` right-hand sides, stored one after the other.
+    ///
+    /// # Errors
+    /// [`LeastSquaresError::TooLarge`] where the work space cannot be had.
+    pub fn solve(&self, rhs: &mut [f64], n_rhs: usize) -> Result<(), LeastSquaresError> {
+        let n = self.dim();
+        let scratch = self.symbolic.solve_in_place_scratch::<f64>(n_rhs, Par::Seq);
+        let mut memory = MemBuffer::try_new(scratch).map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+        let rhs = MatMut::from_column_major_slice_mut(rhs, n, n_rhs);
+        LltRef::<u32, f64>::new(&self.symbolic, &self.factor).solve_in_place_with_conj(
+            Conj::No,
+            rhs,
+            Par::Seq,
+            MemStack::new(&mut memory),
+        );
+        Ok(())
+    }
+}
+
+fn expand_inverse<const D: usize>(inverse: &[u32]) -> Vec<u32> {
+    inverse.iter().flat_map(|&place| (0..D as u32).map(move |c| place * D as u32 + c)).collect()
+}
+
+/// Scalar lower-triangle pattern (compressed columns) of a block pattern.
+fn scalar_pattern<const D: usize>(pattern: &BlockPattern) -> (Vec<u32>, Vec<u32>) {
+    let n = pattern.n_nodes();
+    let mut col_ptr = Vec::with_capacity(n * D + 1);
+    let mut row_idx = Vec::with_capacity(pattern.row.len() * D * D);
+    col_ptr.push(0u32);
+    for node in 0..n {
+        for c in 0..D {
+            for k in pattern.column(node) {
+                let row = pattern.row[k] as usize;
+                let first = if row == node { c } else { 0 };
+                row_idx.extend((first..D).map(|r| (row * D + r) as u32));
+            }
+            col_ptr.push(row_idx.len() as u32);
+        }
+    }
+    (col_ptr, row_idx)
+}
+
+/// Slot of scalar column `c` of block `k` of block column `node` in the values of [`SparseCholesky::factorise`]; entries of
+/// the block's column follow one another there. The diagonal block stores rows `c..D` only.
+#[inline]
+pub fn scalar_slots<const D: usize>(pattern: &BlockPattern, node: usize, k: usize, c: usize) -> usize {
+    // column c of a node holds (D - c) entries of the diagonal block and D of each other block
+    let blocks = pattern.column(node);
+    let before_node = D * D * blocks.start - node * (D * (D - 1) / 2);
+    let off = blocks.len() - 1;
+    let before_column: usize = (0..c).map(|p| (D - p) + D * off).sum();
+    let within = if k == blocks.start { 0 } else { (D - c) + D * (k - blocks.start - 1) };
+    before_node + before_column + within
+}
+
+/// How preconditioned conjugate gradients ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Iterations {
+    /// Products with the matrix.
+    pub count: usize,
+    /// Final residual norm relative to the right-hand side, in the preconditioner's metric.
+    pub relative_residual: f64,
+}
+
+/// Solves `S x = b` by preconditioned conjugate gradients from `x` as it stands.
+///
+/// Stops when the residual has fallen to `tolerance` times that of `b` (in the preconditioner's metric), or after
+/// `max_iterations`.
+pub fn conjugate_gradients(
+    multiply: &mut dyn FnMut(&[f64], &mut [f64]),
+    precondition: &mut dyn FnMut(&[f64], &mut [f64]),
+    b: &[f64],
+    x: &mut [f64],
+    tolerance: f64,
+    max_iterations: usize,
+) -> Iterations {
+    let n = b.len();
+    let (mut r, mut z, mut p, mut q) = (b.to_vec(), vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+    precondition(b, &mut z);
+    let reference = inner(b, &z);
+    if x.iter().any(|&v| v != 0.0) {
+        multiply(x, &mut q);
+        for i in 0..n {
+            r[i] -= q[i];
+        }
+        precondition(&r, &mut z);
+    }
+    let mut rz = inner(&r, &z);
+    let target = tolerance * tolerance * reference;
+    let mut count = 0;
+    p.copy_from_slice(&z);
+    while count < max_iterations && rz > target {
+        multiply(&p, &mut q);
+        let curvature = inner(&p, &q);
+        if curvature.is_nan() || curvature <= 0.0 {
+            break;
+        }
+        let alpha = rz / curvature;
+        for i in 0..n {
+            x[i] += alpha * p[i];
+            r[i] -= alpha * q[i];
+        }
+        precondition(&r, &mut z);
+        let next = inner(&r, &z);
+        let beta = next / rz;
+        for i in 0..n {
+            p[i] = z[i] + beta * p[i];
+        }
+        rz = next;
+        count += 1;
+    }
+    let relative_residual = if reference > 0.0 { (rz.max(0.0) / reference).sqrt() } else { 0.0 };
+    Iterations { count, relative_residual }
+}
+
+fn inner(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}

@@ -1,0 +1,556 @@
+//! The reduced camera system: points eliminated, one `D x D` block for each pair of views that share a track.
+//!
+//! Each observation `(i, j)` contributes `1/2 (x_j - c_i)^T M (x_j - c_i) - q^T (x_j - c_i)` with
+//! `M = w (I - d d^T)`. With `A_j = sum_i M_ij` and `g_j = sum_i q_ij`, stationarity in the points leaves
+//! `S c = b`, `S = diag(sum_j M_ij) - sum_j M_ij A_j^-1 M_lj` and `b_i = sum_j (M_ij A_j^-1 g_j - q_ij)`.
+//! One view is pinned (a zero row), which takes away the common translation.
+//!
+//! [`assemble`](ReducedSystem::assemble) is the hot loop of the whole package; it is compiled for the widest
+//! instruction set found at run time. `tests` holds a dense reference.
+
+use rayon::prelude::*;
+
+use super::part::{Lanes, Part};
+use crate::least_squares::{
+    BlockPattern, LeastSquaresError, Ordering, SparseCholesky, conjugate_gradients, minimum_degree, scalar_slots,
+};
+
+/// Quadratic model of one observation: see the module's text. `direction` has the weight `w` in lane 3.
+pub(super) struct Quadratic {
+    pub direction: Lanes,
+    pub gradient: Lanes,
+}
+
+/// Gives the quadratic model of each observation at the current estimate.
+pub(super) trait Weighing<const D: usize>: Sync {
+    /// Model of observation `o` of track `j`; a weight of zero leaves the observation out.
+    fn observe(&self, o: usize, j: usize) -> Quadratic;
+    /// Depth axis of point `j`, a unit vector, for the damping frame.
+    fn depth_axis(&self, j: usize) -> Lanes;
+}
+
+/// Levenberg-Marquardt damping, relative to the diagonal.
+#[derive(Clone, Copy)]
+pub(super) struct Damping {
+    pub point: f64,
+    pub view: f64,
+}
+
+/// Keeps the eliminated block positive definite where rays are parallel, relative to its trace.
+const POINT_FLOOR: f64 = 1e-14;
+
+/// Cholesky factor of the block `A` of one point, with the reciprocals of its diagonal.
+pub(super) struct PointFactor<const D: usize> {
+    lower: [[f64; D]; D],
+    reciprocal: [f64; D],
+}
+
+impl<const D: usize> PointFactor<D> {
+    /// Factorises `weight_sum I - outer`, damped in the frame (tangents, depth axis).
+    #[inline(always)]
+    pub fn new(weight_sum: f64, outer: &[Lanes; D], damping: f64, axis: &Lanes) -> Self {
+        let mut a: [[f64; D]; D] = std::array::from_fn(|r| {
+            std::array::from_fn(|c| if r == c { weight_sum - outer[r].0[c] } else { -outer[r].0[c] })
+        });
+        let mut trace = 0.0;
+        for (r, row) in a.iter().enumerate() {
+            trace += row[r];
+        }
+        if damping > 0.0 {
+            let mut depth = 0.0;
+            for (r, row) in a.iter().enumerate() {
+                for c in 0..D {
+                    depth += axis.0[r] * row[c] * axis.0[c];
+                }
+            }
+            let tangent = (trace - depth) / (D - 1) as f64;
+            for (r, row) in a.iter_mut().enumerate() {
+                for c in 0..D {
+                    row[c] += damping * (depth - tangent) * axis.0[r] * axis.0[c];
+                }
+                row[r] += damping * tangent;
+            }
+        }
+        let floor = POINT_FLOOR * trace;
+        let mut lower = [[0.0; D]; D];
+        let mut reciprocal = [0.0; D];
+        for r in 0..D {
+            for c in 0..=r {
+                let mut sum = a[r][c];
+                for k in 0..c {
+                    sum -= lower[r][k] * lower[c][k];
+                }
+                if r == c {
+                    let pivot = (sum + floor).max(floor).sqrt();
+                    lower[r][r] = pivot;
+                    reciprocal[r] = 1.0 / pivot;
+                } else {
+                    lower[r][c] = sum * reciprocal[c];
+                }
+            }
+        }
+        Self { lower, reciprocal }
+    }
+
+    /// `L^-1 b`.
+    #[inline(always)]
+    pub fn forward(&self, b: &Lanes) -> [f64; D] {
+        let mut y = [0.0; D];
+        for r in 0..D {
+            let mut sum = b.0[r];
+            for c in 0..r {
+                sum -= self.lower[r][c] * y[c];
+            }
+            y[r] = sum * self.reciprocal[r];
+        }
+        y
+    }
+
+    /// `A^-1 b`.
+    #[inline(always)]
+    pub fn solve(&self, b: &Lanes) -> Lanes {
+        let y = self.forward(b);
+        let mut x = Lanes::ZERO;
+        for r in (0..D).rev() {
+            let mut sum = y[r];
+            for c in r + 1..D {
+                sum -= self.lower[c][r] * x.0[c];
+            }
+            x.0[r] = sum * self.reciprocal[r];
+        }
+        x
+    }
+
+    /// `L^-1 M` for `M` given by rows, in place.
+    #[inline(always)]
+    fn forward_rows(&self, rows: &mut [Lanes; D]) {
+        for r in 0..D {
+            let mut row = rows[r];
+            for c in 0..r {
+                row = row.plus_scaled(-self.lower[r][c], &rows[c]);
+            }
+            rows[r] = row.times(self.reciprocal[r]);
+        }
+    }
+}
+
+/// Adds `w d d^T` to `outer`; `d` has the weight in lane 3.
+#[inline(always)]
+pub(super) fn add_outer<const D: usize>(outer: &mut [Lanes; D], d: &Lanes) {
+    let weighted = d.times(d.0[3]);
+    for (r, row) in outer.iter_mut().enumerate() {
+        *row = row.plus_scaled(d.0[r], &weighted);
+    }
+}
+
+/// Where a block stands: by table over the span of each column, or by search where spans are far wider than filled.
+struct Locator {
+    table: Vec<u32>,
+    offset: Vec<usize>,
+}
+
+impl Locator {
+    fn new(pattern: &BlockPattern) -> Self {
+        let n = pattern.n_nodes();
+        let span = |c: usize| (pattern.row[pattern.col_start[c + 1] as usize - 1] as usize) - c + 1;
+        let total: usize = (0..n).map(span).sum();
+        if total > 32 * pattern.row.len() + (1 << 20) {
+            return Self { table: Vec::new(), offset: Vec::new() };
+        }
+        let mut table = vec![u32::MAX; total];
+        let mut offset = Vec::with_capacity(n);
+        let mut next = 0;
+        for c in 0..n {
+            offset.push(next);
+            for k in pattern.column(c) {
+                table[next + pattern.row[k] as usize - c] = k as u32;
+            }
+            next += span(c);
+        }
+        Self { table, offset }
+    }
+
+    /// Index of block (row, column), row >= column.
+    #[inline(always)]
+    fn find(&self, pattern: &BlockPattern, row: usize, column: usize) -> usize {
+        if let Some(&base) = self.offset.get(column) {
+            self.table[base + row - column] as usize
+        } else {
+            let blocks = pattern.column(column);
+            blocks.start + pattern.row[blocks].partition_point(|&r| (r as usize) < row)
+        }
+    }
+}
+
+/// Sums of one chunk of tracks, over the block columns and views that the chunk touches.
+#[derive(Default)]
+struct Accumulator {
+    views: std::ops::Range<usize>,
+    blocks: std::ops::Range<usize>,
+    /// `D` rows of each block.
+    block: Vec<Lanes>,
+    /// Diagonal of the unreduced camera block, for damping.
+    diagonal: Vec<Lanes>,
+    rhs: Vec<Lanes>,
+    scratch: Scratch,
+}
+
+#[derive(Default)]
+struct Scratch {
+    direction: Vec<Lanes>,
+    gradient: Vec<Lanes>,
+    /// `D` rows of `L^-1 M` for each view of the track.
+    rows: Vec<Lanes>,
+    views: Vec<u32>,
+}
+
+/// Which linear solver to use for the reduced system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LinearSolver {
+    /// The one with the lower predicted cost.
+    #[default]
+    Auto,
+    /// Sparse Cholesky.
+    Direct,
+    /// Conjugate gradients, preconditioned by diagonal blocks or by an earlier factorisation.
+    Iterative,
+}
+
+pub(super) struct ReducedSystem<const D: usize> {
+    pattern: BlockPattern,
+    locator: Locator,
+    accumulators: Vec<Accumulator>,
+    pinned: usize,
+    values: Vec<f64>,
+    pub rhs: Vec<f64>,
+    cholesky: Option<SparseCholesky>,
+    ordering: Ordering,
+    iterative: bool,
+    /// Factorisations and conjugate-gradient products so far.
+    pub n_factorisations: usize,
+    pub n_products: usize,
+}
+
+impl<const D: usize> ReducedSystem<D> {
+    /// Finds which views share a track, orders them and chooses the linear solver.
+    pub fn analyse(part: &Part<D>, solver: LinearSolver) -> Result<Self, LeastSquaresError> {
+        let pattern = co_visibility(part);
+        let locator = Locator::new(&pattern);
+        let ordering = minimum_degree::<D>(&pattern)?;
+        let iterative = match solver {
+            LinearSolver::Direct => false,
+            LinearSolver::Iterative => true,
+            LinearSolver::Auto => ordering.factor_flops > iterative_flops::<D>(&pattern),
+        };
+        let cholesky = if iterative { None } else { Some(SparseCholesky::analyse::<D>(&pattern, &ordering)?) };
+        let accumulators = part.chunks.iter().map(|tracks| Accumulator::over::<D>(part, tracks, &pattern)).collect();
+        let (n_blocks, n_views) = (pattern.row.len(), part.n_views);
+        Ok(Self {
+            pinned: most_observed_view(part),
+            values: vec![0.0; n_blocks * D * D - n_views * (D * (D - 1) / 2)],
+            rhs: vec![0.0; n_views * D],
+            pattern,
+            locator,
+            accumulators,
+            cholesky,
+            ordering,
+            iterative,
+            n_factorisations: 0,
+            n_products: 0,
+        })
+    }
+
+    /// Sums the observations into the reduced system.
+    pub fn assemble(&mut self, part: &Part<D>, weighing: &impl Weighing<D>, damping: Damping) {
+        let (pattern, locator) = (&self.pattern, &self.locator);
+        self.accumulators.par_iter_mut().zip(&part.chunks).for_each(|(sums, tracks)| {
+            pulp::Arch::new().dispatch(
+                #[inline(always)]
+                || eliminate_points(part, tracks.clone(), pattern, locator, weighing, damping.point, sums),
+            );
+        });
+        self.gather(damping.view);
+    }
+
+    /// Adds the chunks, in their order, into the values of the lower triangle and the right-hand side.
+    fn gather(&mut self, view_damping: f64) {
+        let mut diagonal = vec![Lanes::ZERO; self.pattern.n_nodes()];
+        self.rhs.fill(0.0);
+        for sums in &self.accumulators {
+            for (slot, view) in sums.views.clone().enumerate() {
+                diagonal[view] = diagonal[view].plus(&sums.diagonal[slot]);
+                for c in 0..D {
+                    self.rhs[view * D + c] += sums.rhs[slot].0[c];
+                }
+            }
+        }
+        let largest = diagonal.iter().flat_map(|d| d.0).fold(0.0, f64::max);
+        let (pattern, accumulators, pinned) = (&self.pattern, &self.accumulators, self.pinned);
+        let mut columns: Vec<&mut [f64]> = Vec::with_capacity(pattern.n_nodes());
+        let mut rest = self.values.as_mut_slice();
+        for node in 0..pattern.n_nodes() {
+            let length = pattern.column(node).len() * D * D - D * (D - 1) / 2;
+            let (column, tail) = rest.split_at_mut(length);
+            columns.push(column);
+            rest = tail;
+        }
+        columns.into_par_iter().enumerate().with_min_len(64).for_each(|(node, column)| {
+            gather_column::<D>(pattern, accumulators, node, pinned, &diagonal[node], view_damping, largest, column);
+        });
+        self.rhs[pinned * D..(pinned + 1) * D].fill(0.0);
+    }
+
+    /// Factorises the assembled system and solves it for its right-hand side.
+    pub fn solve(&mut self) -> Result<Vec<Lanes>, LeastSquaresError> {
+        let mut x = self.rhs.clone();
+        let Some(cholesky) = &mut self.cholesky else { return Err(LeastSquaresError::Singular { pivot: 0 }) };
+        cholesky.factorise(&self.values)?;
+        self.n_factorisations += 1;
+        cholesky.solve(&mut x, 1)?;
+        Ok(x.chunks_exact(D).map(|c| Lanes::from_vector::<D>(&std::array::from_fn(|r| c[r]))).collect())
+    }
+}
+
+/// Flops that conjugate gradients would need, predicted: a fixed number of products with the lower triangle.
+fn iterative_flops<const D: usize>(pattern: &BlockPattern) -> f64 {
+    const EXPECTED_PRODUCTS: f64 = 150.0;
+    // a product runs at memory speed, several times slower per flop than a dense factorisation
+    const SLOWDOWN: f64 = 4.0;
+    SLOWDOWN * EXPECTED_PRODUCTS * 4.0 * (pattern.row.len() * D * D) as f64
+}
+
+#[allow(clippy::too_many_arguments)]
+fn gather_column<const D: usize>(
+    pattern: &BlockPattern,
+    accumulators: &[Accumulator],
+    node: usize,
+    pinned: usize,
+    diagonal: &Lanes,
+    view_damping: f64,
+    largest: f64,
+    column: &mut [f64],
+) {
+    column.fill(0.0);
+    let blocks = pattern.column(node);
+    let base = scalar_slots::<D>(pattern, node, blocks.start, 0);
+    for sums in accumulators.iter().filter(|s| s.blocks.start < blocks.end && blocks.start < s.blocks.end) {
+        let (blocks_of_chunk, _) = sums.block.as_chunks::<D>();
+        for k in blocks.clone() {
+            let block = &blocks_of_chunk[k - sums.blocks.start];
+            for c in 0..D {
+                let slot = scalar_slots::<D>(pattern, node, k, c) - base;
+                let first = if k == blocks.start { c } else { 0 };
+                for r in first..D {
+                    column[slot + r - first] += block[r].0[c];
+                }
+            }
+        }
+    }
+    for k in blocks.clone() {
+        let is_diagonal = k == blocks.start;
+        let touches_pinned = node == pinned || pattern.row[k] as usize == pinned;
+        for c in 0..D {
+            let slot = scalar_slots::<D>(pattern, node, k, c) - base;
+            let length = if is_diagonal { D - c } else { D };
+            if touches_pinned {
+                column[slot..slot + length].fill(0.0);
+            }
+            if is_diagonal {
+                // a view without a single kept observation is held, like the pinned one
+                let held = touches_pinned || diagonal.0[c] <= 0.0;
+                column[slot] += if held { largest.max(f64::MIN_POSITIVE) } else { view_damping * diagonal.0[c] };
+            }
+        }
+    }
+}
+
+fn most_observed_view<const D: usize>(part: &Part<D>) -> usize {
+    let mut count = vec![0u32; part.n_views];
+    for &v in &part.view {
+        count[v as usize] += 1;
+    }
+    (0..part.n_views).fold(0, |best, v| if count[v] > count[best] { v } else { best })
+}
+
+/// Which views share a track. Pairs repeat from track to track: a small direct-mapped memory of pairs already listed
+/// keeps the list short before it is sorted.
+fn co_visibility<const D: usize>(part: &Part<D>) -> BlockPattern {
+    const MEMORY: usize = 1 << 14;
+    let lists: Vec<Vec<u64>> = part
+        .chunks
+        .par_iter()
+        .map(|tracks| {
+            let mut seen = vec![u64::MAX; MEMORY];
+            let mut pairs = Vec::new();
+            for j in tracks.clone() {
+                let views = &part.view[part.observations(j)];
+                for (i, &row) in views.iter().enumerate() {
+                    for &column in &views[..i] {
+                        let pair = u64::from(column) << 32 | u64::from(row);
+                        let slot = (pair.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 50) as usize;
+                        if seen[slot] != pair {
+                            seen[slot] = pair;
+                            pairs.push(pair);
+                        }
+                    }
+                }
+            }
+            pairs.sort_unstable();
+            pairs.dedup();
+            pairs
+        })
+        .collect();
+    let mut pairs: Vec<u64> = (0..part.n_views as u64).map(|v| v << 32 | v).collect();
+    pairs.extend(lists.into_iter().flatten());
+    pairs.par_sort_unstable();
+    pairs.dedup();
+    let mut col_start = vec![0u32; part.n_views + 1];
+    for &pair in &pairs {
+        col_start[(pair >> 32) as usize + 1] += 1;
+    }
+    for v in 0..part.n_views {
+        col_start[v + 1] += col_start[v];
+    }
+    BlockPattern { col_start, row: pairs.into_iter().map(|pair| pair as u32).collect() }
+}
+
+impl Accumulator {
+    fn over<const D: usize>(part: &Part<D>, tracks: &std::ops::Range<usize>, pattern: &BlockPattern) -> Self {
+        let (mut low, mut high) = (usize::MAX, 0);
+        for j in tracks.clone() {
+            let views = &part.view[part.observations(j)];
+            low = low.min(views[0] as usize);
+            high = high.max(views[views.len() - 1] as usize + 1);
+        }
+        let low = low.min(high);
+        let blocks = pattern.col_start[low] as usize..pattern.col_start[high] as usize;
+        Self { views: low..high, blocks, ..Self::default() }
+    }
+
+    fn reset<const D: usize>(&mut self) {
+        for (lanes, n) in [
+            (&mut self.block, self.blocks.len() * D),
+            (&mut self.diagonal, self.views.len()),
+            (&mut self.rhs, self.views.len()),
+        ] {
+            lanes.clear();
+            lanes.resize(n, Lanes::ZERO);
+        }
+    }
+}
+
+/// Eliminates the points of one chunk of tracks. Inlined into each instruction set's copy.
+#[inline(always)]
+fn eliminate_points<const D: usize>(
+    part: &Part<D>,
+    tracks: std::ops::Range<usize>,
+    pattern: &BlockPattern,
+    locator: &Locator,
+    weighing: &impl Weighing<D>,
+    point_damping: f64,
+    sums: &mut Accumulator,
+) {
+    sums.reset::<D>();
+    for j in tracks {
+        let Some((factor, gradient)) = point_block(part, j, weighing, point_damping, &mut sums.scratch) else { continue };
+        let y = factor.forward(&gradient);
+        camera_blocks(part, j, &factor, &y, pattern, locator, sums);
+        subtract_products::<D>(pattern, locator, sums);
+    }
+}
+
+/// Sums the models of one track's observations into the factor of `A` and the gradient `g`; keeps the models in scratch.
+#[inline(always)]
+fn point_block<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    weighing: &impl Weighing<D>,
+    point_damping: f64,
+    scratch: &mut Scratch,
+) -> Option<(PointFactor<D>, Lanes)> {
+    scratch.direction.clear();
+    scratch.gradient.clear();
+    let mut outer = [Lanes::ZERO; D];
+    let mut gradient = Lanes::ZERO;
+    let mut weight_sum = 0.0;
+    for o in part.observations(j) {
+        let model = weighing.observe(o, j);
+        add_outer(&mut outer, &model.direction);
+        weight_sum += model.direction.0[3];
+        gradient = gradient.plus(&model.gradient);
+        scratch.direction.push(model.direction);
+        scratch.gradient.push(model.gradient);
+    }
+    if weight_sum.is_nan() || weight_sum <= 0.0 {
+        return None;
+    }
+    Some((PointFactor::new(weight_sum, &outer, point_damping, &weighing.depth_axis(j)), gradient))
+}
+
+/// Adds each observation's own camera block and right-hand side, and leaves `L^-1 M` of each view in scratch.
+#[inline(always)]
+fn camera_blocks<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    factor: &PointFactor<D>,
+    y: &[f64; D],
+    pattern: &BlockPattern,
+    locator: &Locator,
+    sums: &mut Accumulator,
+) {
+    let Scratch { direction, gradient, rows: stored, views } = &mut sums.scratch;
+    let (blocks, _) = sums.block.as_chunks_mut::<D>();
+    let seen_by = &part.view[part.observations(j)];
+    stored.clear();
+    views.clear();
+    for ((d, q), &view) in direction.iter().zip(gradient.iter()).zip(seen_by) {
+        let weight = d.0[3];
+        let weighted = d.times(weight);
+        let mut rows: [Lanes; D] = std::array::from_fn(|r| {
+            let mut row = weighted.times(-d.0[r]);
+            row.0[r] += weight;
+            row.0[3] = 0.0;
+            row
+        });
+        let slot = view as usize - sums.views.start;
+        let block = &mut blocks[locator.find(pattern, view as usize, view as usize) - sums.blocks.start];
+        for r in 0..D {
+            block[r] = block[r].plus(&rows[r]);
+            sums.diagonal[slot].0[r] += rows[r].0[r];
+        }
+        factor.forward_rows(&mut rows);
+        let mut right = q.times(-1.0);
+        for r in 0..D {
+            right = right.plus_scaled(y[r], &rows[r]);
+        }
+        sums.rhs[slot] = sums.rhs[slot].plus(&right);
+        if part.has_repeats && views.last() == Some(&view) {
+            let n = stored.len();
+            for r in 0..D {
+                stored[n - D + r] = stored[n - D + r].plus(&rows[r]);
+            }
+        } else {
+            stored.extend_from_slice(&rows);
+            views.push(view);
+        }
+    }
+}
+
+/// Subtracts `T_a^T T_b`, `T = L^-1 M`, from the block of every pair of views of the track.
+#[inline(always)]
+fn subtract_products<const D: usize>(pattern: &BlockPattern, locator: &Locator, sums: &mut Accumulator) {
+    let (rows, _) = sums.scratch.rows.as_chunks::<D>();
+    let (blocks, _) = sums.block.as_chunks_mut::<D>();
+    for (i, (a, &row)) in rows.iter().zip(&sums.scratch.views).enumerate() {
+        for (b, &column) in rows[..=i].iter().zip(&sums.scratch.views) {
+            let block = &mut blocks[locator.find(pattern, row as usize, column as usize) - sums.blocks.start];
+            for r in 0..D {
+                let mut sum = block[r];
+                for c in 0..D {
+                    sum = sum.plus_scaled(-a[c].0[r], &b[c]);
+                }
+                block[r] = sum;
+            }
+        }
+    }
+}

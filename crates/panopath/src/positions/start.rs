@@ -1,0 +1,279 @@
+//! A start without any initial guess: linear steps under a linear gauge, re-weighted until the noise scale settles.
+//!
+//! One step solves `min sum w |(I - v v^T)(x - c)|^2` subject to `sum omega v^T (x - c) = 1`, which is one solve with
+//! the reduced system. The first weights come from parallax alone; later ones are Geman-McClure in the chord
+//! `e = |v - (x - c)/r|`: `w = (1 + e^2/s^2)^-2 / r^2`, `omega = w r`.
+
+use rayon::prelude::*;
+
+use super::part::{Lanes, Part};
+use super::reduced::{Damping, PointFactor, Quadratic, ReducedSystem, Weighing, add_outer};
+use crate::least_squares::LeastSquaresError;
+
+/// Where the solver stands: camera centres and points of one part.
+#[derive(Clone)]
+pub(super) struct Estimate {
+    pub centers: Vec<Lanes>,
+    pub points: Vec<Lanes>,
+}
+
+/// Smallest noise scale, in radians: keeps weights finite on exact data.
+pub(super) const SCALE_FLOOR_RAD: f64 = 2e-4;
+/// The scale is this multiple of the median chord.
+const SCALE_OVER_MEDIAN: f64 = 2.0;
+/// Re-weighting stops when the scale changes by less than this.
+const SCALE_TOLERANCE: f64 = 0.05;
+/// More rounds make long open chains drift.
+const MAX_ROUNDS: usize = 10;
+/// Damping of the linear steps; only guards the factorisation, since exact data leaves the scale as a null vector.
+const LINEAR_DAMPING: Damping = Damping { point: 0.0, view: 1e-12 };
+
+/// Runs `task` over the chunks of a part in parallel, each with its own slice of `out` (one entry per track).
+pub(super) fn for_each_chunk<T: Send, const D: usize, R: Send>(
+    part: &Part<D>,
+    out: &mut [T],
+    task: impl Fn(std::ops::Range<usize>, &mut [T]) -> R + Sync,
+) -> Vec<R> {
+    let mut pieces = Vec::with_capacity(part.chunks.len());
+    let mut rest = out;
+    for tracks in &part.chunks {
+        let (piece, tail) = rest.split_at_mut(tracks.len());
+        pieces.push((tracks.clone(), piece));
+        rest = tail;
+    }
+    pieces.into_par_iter().map(|(tracks, piece)| task(tracks, piece)).collect()
+}
+
+/// Squared chord between the ray and the predicted direction, and the reciprocal distance.
+#[inline(always)]
+pub(super) fn squared_chord<const D: usize>(ray: &Lanes, point: &Lanes, center: &Lanes) -> (f64, f64) {
+    let u = point.minus(center);
+    let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
+    let error = ray.plus_scaled(-reciprocal, &u);
+    (error.dot::<D>(&error), reciprocal)
+}
+
+/// First weights: how far the rays of a track are from parallel, which needs no positions.
+struct ParallaxWeights<'a, const D: usize> {
+    part: &'a Part<D>,
+    weight: Vec<f64>,
+}
+
+impl<const D: usize> Weighing<D> for ParallaxWeights<'_, D> {
+    #[inline(always)]
+    fn observe(&self, o: usize, j: usize) -> Quadratic {
+        weighted_ray(&self.part.ray[o], self.weight[j], self.weight[j])
+    }
+
+    #[inline(always)]
+    fn depth_axis(&self, j: usize) -> Lanes {
+        self.part.ray[self.part.start[j] as usize]
+    }
+}
+
+/// Geman-McClure weights at an estimate.
+struct RobustWeights<'a, const D: usize> {
+    part: &'a Part<D>,
+    estimate: &'a Estimate,
+    inverse_scale_squared: f64,
+}
+
+impl<const D: usize> Weighing<D> for RobustWeights<'_, D> {
+    #[inline(always)]
+    fn observe(&self, o: usize, j: usize) -> Quadratic {
+        let ray = &self.part.ray[o];
+        let center = &self.estimate.centers[self.part.view[o] as usize];
+        let (chord, reciprocal) = squared_chord::<D>(ray, &self.estimate.points[j], center);
+        let root = 1.0 / (1.0 + ray.0[3] * chord * self.inverse_scale_squared);
+        let omega = root * root * reciprocal;
+        weighted_ray(ray, omega * reciprocal, omega)
+    }
+
+    #[inline(always)]
+    fn depth_axis(&self, j: usize) -> Lanes {
+        self.part.ray[self.part.start[j] as usize]
+    }
+}
+
+/// Model of an observation in the linear step; both weights are multiplied by the ray's precision.
+#[inline(always)]
+fn weighted_ray(ray: &Lanes, weight: f64, omega: f64) -> Quadratic {
+    let precision = ray.0[3];
+    let mut direction = *ray;
+    direction.0[3] = weight * precision;
+    let mut gradient = ray.times(omega * precision);
+    gradient.0[3] = 0.0;
+    Quadratic { direction, gradient }
+}
+
+/// Smallest eigenvalue of `sum (I - v v^T)` over the number of rays, the mean squared parallax of each track, turned into
+/// a weight: what noise alone would give is taken off. With unit weights, points at infinity would collapse the start.
+fn parallax_weights<const D: usize>(part: &Part<D>) -> ParallaxWeights<'_, D> {
+    let noise = SCALE_FLOOR_RAD * SCALE_FLOOR_RAD;
+    let mut weight = vec![0.0; part.n_tracks()];
+    for_each_chunk(part, &mut weight, |tracks, out| {
+        for (j, q) in tracks.zip(out) {
+            let observations = part.observations(j);
+            let count = observations.len() as f64;
+            let mut outer = [[0.0; 3]; 3];
+            for o in observations {
+                let v = &part.ray[o].0;
+                for r in 0..D {
+                    for c in 0..D {
+                        outer[r][c] += v[r] * v[c];
+                    }
+                }
+            }
+            let parallax = (1.0 - largest_eigenvalue(&outer) / count).max(0.0);
+            *q = (parallax - noise).max(1e-3 * noise);
+        }
+    });
+    ParallaxWeights { part, weight }
+}
+
+/// Largest eigenvalue of a symmetric 3 x 3 matrix (trigonometric solution of the cubic).
+fn largest_eigenvalue(m: &[[f64; 3]; 3]) -> f64 {
+    let mean = (m[0][0] + m[1][1] + m[2][2]) / 3.0;
+    let off = m[0][1].powi(2) + m[0][2].powi(2) + m[1][2].powi(2);
+    let (a, b, c) = (m[0][0] - mean, m[1][1] - mean, m[2][2] - mean);
+    let p = ((a * a + b * b + c * c + 2.0 * off) / 6.0).sqrt();
+    if p == 0.0 {
+        return mean;
+    }
+    let det = a * (b * c - m[1][2] * m[1][2]) - m[0][1] * (m[0][1] * c - m[1][2] * m[0][2])
+        + m[0][2] * (m[0][1] * m[1][2] - b * m[0][2]);
+    let angle = (det / (2.0 * p * p * p)).clamp(-1.0, 1.0).acos() / 3.0;
+    mean + 2.0 * p * angle.cos()
+}
+
+/// One linear step: centres from the reduced system, points from back-substitution, rms distance of the centres one.
+fn linear_step<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    weighing: &impl Weighing<D>,
+) -> Result<Estimate, LeastSquaresError> {
+    system.assemble(part, weighing, LINEAR_DAMPING);
+    let mut centers = system.solve()?;
+    let scale = normalise(&mut centers);
+    let mut points = vec![Lanes::ZERO; part.n_tracks()];
+    for_each_chunk(part, &mut points, |tracks, out| {
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                for (j, point) in tracks.zip(out) {
+                    *point = triangulate(part, j, &centers, scale, weighing);
+                }
+            },
+        );
+    });
+    Ok(Estimate { centers, points })
+}
+
+/// The point that minimises the models of its observations, given the centres. `scale` is that of the gradients.
+#[inline(always)]
+fn triangulate<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    centers: &[Lanes],
+    scale: f64,
+    weighing: &impl Weighing<D>,
+) -> Lanes {
+    let mut outer = [Lanes::ZERO; D];
+    let mut right = Lanes::ZERO;
+    let mut weight_sum = 0.0;
+    for o in part.observations(j) {
+        let Quadratic { direction: d, gradient } = weighing.observe(o, j);
+        let center = &centers[part.view[o] as usize];
+        add_outer(&mut outer, &d);
+        weight_sum += d.0[3];
+        let across = center.plus_scaled(-d.dot::<D>(center), &d);
+        right = right.plus_scaled(d.0[3], &across).plus_scaled(scale, &gradient);
+    }
+    right.0[3] = 0.0;
+    let factor = PointFactor::<D>::new(weight_sum.max(f64::MIN_POSITIVE), &outer, 0.0, &Lanes::ZERO);
+    factor.solve(&right)
+}
+
+/// Moves the centroid to zero and scales to rms distance one; returns the factor applied.
+pub(super) fn normalise(centers: &mut [Lanes]) -> f64 {
+    let n = centers.len() as f64;
+    let centroid = centers.iter().fold(Lanes::ZERO, |sum, c| sum.plus(c)).times(1.0 / n);
+    let squared: f64 = centers.iter().map(|c| c.minus(&centroid)).map(|c| c.dot::<3>(&c)).sum();
+    let scale = if squared > 0.0 { (n / squared).sqrt() } else { 1.0 };
+    for center in centers {
+        *center = center.minus(&centroid).times(scale);
+    }
+    scale
+}
+
+/// Median of the chord in units of the reference sigma, over at most 20,000 evenly spaced observations.
+fn median_chord<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
+    let tracks_per_sample = part.n_tracks().div_ceil(4_000);
+    let mut chords: Vec<f64> = (0..part.n_tracks())
+        .step_by(tracks_per_sample.max(1))
+        .flat_map(|j| part.observations(j).map(move |o| (o, j)))
+        .map(|(o, j)| {
+            let center = &estimate.centers[part.view[o] as usize];
+            (squared_chord::<D>(&part.ray[o], &estimate.points[j], center).0 * part.ray[o].0[3]).sqrt()
+        })
+        .collect();
+    median(&mut chords)
+}
+
+/// Median; zero of nothing. Reorders its argument.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Linear start and re-weighting. Returns the estimate and the number of linear steps.
+pub(super) fn robust_start<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+) -> Result<(Estimate, usize), LeastSquaresError> {
+    let mut estimate = linear_step(part, system, &parallax_weights(part))?;
+    let mut previous = f64::INFINITY;
+    for round in 1..=MAX_ROUNDS {
+        let scale = (SCALE_OVER_MEDIAN * median_chord(part, &estimate)).max(SCALE_FLOOR_RAD);
+        if (scale / previous - 1.0).abs() < SCALE_TOLERANCE {
+            return Ok((estimate, round));
+        }
+        previous = scale;
+        let weights = RobustWeights { part, estimate: &estimate, inverse_scale_squared: 1.0 / (scale * scale) };
+        estimate = linear_step(part, system, &weights)?;
+    }
+    Ok((estimate, MAX_ROUNDS + 1))
+}
+
+/// Moves points that lie behind most of their views, or farther than `FAR` times the baseline of their track, to that
+/// distance along the mean ray.
+pub(super) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut Estimate) {
+    const FAR: f64 = 300.0;
+    let Estimate { centers, points } = estimate;
+    for_each_chunk(part, points, |tracks, out| {
+        for (j, point) in tracks.zip(out) {
+            let observations = part.observations(j);
+            let count = observations.len() as f64;
+            let (mut middle, mut ray) = (Lanes::ZERO, Lanes::ZERO);
+            let mut behind = 0;
+            for o in observations.clone() {
+                let center = &centers[part.view[o] as usize];
+                middle = middle.plus_scaled(1.0 / count, center);
+                ray = ray.plus(&part.ray[o]);
+                behind += usize::from(part.ray[o].dot::<D>(&point.minus(center)).is_nan()
+                    || part.ray[o].dot::<D>(&point.minus(center)) <= 0.0);
+            }
+            let distance = |a: &Lanes| a.minus(&middle).dot::<D>(&a.minus(&middle)).sqrt();
+            let baseline = observations.map(|o| distance(&centers[part.view[o] as usize])).fold(0.0, f64::max);
+            let far = FAR * baseline;
+            if 2 * behind > count as usize || distance(point) > far {
+                let length = ray.dot::<D>(&ray).sqrt().max(f64::MIN_POSITIVE);
+                *point = middle.plus_scaled(far / length, &ray);
+                point.0[3] = 0.0;
+            }
+        }
+    });
+}
