@@ -8,6 +8,7 @@ mod table;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    table::register(module)?;
     synthetic::register(module)?;
     Ok(())
 }

@@ -1,0 +1,337 @@
+"""The folder of an answer: tables for people, files for other programs, and ``scene.npz`` to come back exactly.
+
+``cameras.csv points.csv scene.json scene.npz scene.ply trajectory.tum colmap/0 colmap/1 ...`` (a model a component).
+``scene.json`` marks the folder as panopath's and lists what belongs to it; nothing else in the folder is touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import math
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from panopath import _core
+from panopath.formats.colmap import write_colmap
+from panopath.formats.csv import quaternion_from_rotation
+from panopath.formats.ply import ply_bytes
+from panopath.formats.tum import tum_text
+from panopath.model import (
+    Float,
+    InputError,
+    PositionOptions,
+    Scene,
+    Status,
+    Summary,
+    Tracks,
+    summary_dict,
+)
+
+_MARK = "scene.json"
+_LAYOUT = 1
+_SCENE_ARRAYS = ("centers", "points", "view_component", "track_component", "inlier", "residual_rad", "cam_from_world")
+
+
+def write_scene(
+    scene: Scene,
+    folder: str | PathLike[str],
+    tracks: Tracks | None = None,
+    options: PositionOptions | None = None,
+    *,
+    overwrite: bool = False,
+    extra: Callable[[Path], None] | None = None,
+) -> Path:
+    """Write a scene in every form: see the module's text for the files.
+
+    Parameters
+    ----------
+    scene
+        What to write.
+    folder
+        Where to. It is made where it is absent; a folder that panopath wrote is brought up to date.
+    tracks
+        The observations, where the scene does not hold them (``scene.tracks``).
+    options
+        Recorded in ``scene.json``.
+    overwrite
+        Whether to write into a folder that panopath did not make; files of other names stay as they are.
+    extra
+        Called with a folder that becomes part of the answer, to add files of its own, such as pictures.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        Where the folder is not panopath's and ``overwrite`` is not set, or it cannot be written. Nothing has changed
+        then.
+    """
+    place = Path(folder)
+    if tracks is not None and tracks is not scene.tracks:
+        scene = _with_tracks(scene, tracks)
+    check_writable(place, overwrite)
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        staged = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written ({error.strerror})") from None
+    try:
+        _write_files(scene, staged)
+        if extra is not None:
+            extra(staged)
+        names = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if path.is_file())
+        (staged / _MARK).write_text(_scene_json(scene, options, [*names, _MARK]), encoding="utf-8")
+        _put_in_place(staged, place)
+    except OSError as error:
+        raise InputError(f"{place}: cannot be written ({error.strerror})") from None
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+    return place
+
+
+def check_writable(folder: str | PathLike[str], overwrite: bool = False) -> None:
+    """Say now, before long work, whether :func:`write_scene` would refuse.
+
+    Raises
+    ------
+    InputError
+        Where it would.
+    """
+    place = Path(folder)
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{place}: is a file, expected a folder to write to")
+    if place.is_dir() and any(place.iterdir()) and not overwrite and not is_scene_folder(place):
+        raise InputError(f"{place}: holds files that are not panopath's; name another folder or ask for overwriting")
+
+
+def is_scene_folder(folder: Path) -> bool:
+    """Whether panopath wrote this folder."""
+    return _mark(folder) is not None
+
+
+def read_scene(folder: str | PathLike[str]) -> Scene:
+    """Read a scene back exactly as it was written.
+
+    Raises
+    ------
+    InputError
+        Where the folder is not panopath's, or its files are damaged.
+    """
+    place = Path(folder)
+    if not place.is_dir():
+        raise InputError(f"{place}: there is no such folder")
+    mark = _mark(place)
+    if mark is None:
+        raise InputError(f"{place}: has no {_MARK} of panopath")
+    if mark["panopath"].get("layout") != _LAYOUT:
+        raise InputError(f"{place / _MARK}: has the layout {mark['panopath'].get('layout')}, expected {_LAYOUT}")
+    path = place / "scene.npz"
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        summary = _summary(mark["summary"])
+        tracks = _tracks(arrays)
+        return Scene(
+            **{name: arrays[name] for name in _SCENE_ARRAYS},
+            summary=summary,
+            tracks=tracks,
+            view_names=_names(arrays, "view_names"),
+            track_names=_names(arrays, "track_names"),
+        )
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: is damaged ({error})") from None
+
+
+def _with_tracks(scene: Scene, tracks: Tracks) -> Scene:
+    fields = {name: getattr(scene, name) for name in (*_SCENE_ARRAYS, "summary")}
+    return Scene(
+        **fields,
+        tracks=tracks,
+        view_names=scene.view_names or tracks.view_names,
+        track_names=scene.track_names or tracks.track_names,
+    )
+
+
+def _mark(folder: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads((folder / _MARK).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    is_ours = isinstance(found, dict) and isinstance(found.get("panopath"), dict)
+    return found if is_ours else None
+
+
+def _put_in_place(staged: Path, place: Path) -> None:
+    """Make the staged files those of ``place``: in one step where it is new, else file by file, the mark last."""
+    if not place.exists():
+        os.chmod(staged, 0o777 & ~_umask())
+        os.rename(staged, place)
+        return
+    before = _mark(place) or {}
+    old = {name for name in before.get("files", []) if isinstance(name, str)}
+    new = [str(path.relative_to(staged)) for path in staged.rglob("*") if path.is_file() and path.name != _MARK]
+    for name in [*sorted(new), _MARK]:
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged / name, place / name)
+    for name in sorted(old - set(new) - {_MARK}):
+        stale = place / name
+        if stale.resolve().is_relative_to(place.resolve()):
+            stale.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                stale.parent.rmdir()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _write_files(scene: Scene, folder: Path) -> None:
+    _write_npz(scene, folder / "scene.npz")
+    (folder / "cameras.csv").write_bytes(_cameras_csv(scene))
+    (folder / "points.csv").write_bytes(_points_csv(scene))
+    (folder / "scene.ply").write_bytes(ply_bytes(scene))
+    (folder / "trajectory.tum").write_text(tum_text(scene), encoding="utf-8")
+    if scene.d == 3 and scene.tracks is not None:
+        for component in range(scene.n_components):
+            write_colmap(scene, scene.tracks, folder / "colmap" / str(component), component)
+
+
+def _write_npz(scene: Scene, path: Path) -> None:
+    arrays: dict[str, Any] = {name: getattr(scene, name) for name in _SCENE_ARRAYS}
+    for kind in ("view_names", "track_names"):
+        names = getattr(scene, kind)
+        if names is not None:
+            # one text: an array of text would be as wide as its longest name, and drop NULs at its end
+            arrays[kind] = np.frombuffer(json.dumps(names).encode("utf-8"), dtype=np.uint8)
+    if scene.tracks is not None:
+        tracks = scene.tracks
+        arrays |= {"tracks_view": tracks.view, "tracks_track": tracks.track, "tracks_bearing": tracks.bearing}
+        arrays |= {
+            f"tracks_{name}": value
+            for name, value in (("sigma_rad", tracks.sigma_rad), ("time_s", tracks.time_s))
+            if value is not None
+        }
+    np.savez(path, **arrays)
+
+
+def _names(arrays: dict[str, Any], kind: str) -> tuple[str, ...] | None:
+    return tuple(json.loads(arrays[kind].tobytes())) if kind in arrays else None
+
+
+def _tracks(arrays: dict[str, Any]) -> Tracks | None:
+    if "tracks_view" not in arrays:
+        return None
+    return Tracks.from_arrays(
+        arrays["tracks_view"],
+        arrays["tracks_track"],
+        arrays["tracks_bearing"],
+        len(arrays["centers"]),
+        len(arrays["points"]),
+        arrays.get("tracks_sigma_rad"),
+        arrays.get("tracks_time_s"),
+        _names(arrays, "view_names"),
+        _names(arrays, "track_names"),
+    )
+
+
+def _summary(plain: dict[str, Any]) -> Summary:
+    fields = dict(plain)
+    fields["status"] = Status(fields["status"])
+    fields["sigma_rad"] = float("nan") if fields["sigma_rad"] is None else fields["sigma_rad"]
+    fields["seconds"] = MappingProxyType(dict(fields["seconds"]))
+    return Summary(**fields)
+
+
+def _scene_json(scene: Scene, options: PositionOptions | None, files: Sequence[str]) -> str:
+    content = {
+        "panopath": {"version": _core.__version__, "layout": _LAYOUT},
+        "d": scene.d,
+        "summary": summary_dict(scene.summary),
+        "components": [
+            {"views": int((scene.view_component == c).sum()), "points": int((scene.track_component == c).sum())}
+            for c in range(scene.n_components)
+        ],
+        "options": None if options is None else options.to_dict(),
+        "files": sorted(files),
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def _cameras_csv(scene: Scene) -> bytes:
+    statistics = scene.view_statistics()
+    header = ["view", *_axes(scene.d)]
+    cells = [scene.view_labels(), *_number_cells(scene.centers)]
+    if scene.d == 3:
+        header += ["qw", "qx", "qy", "qz"]
+        cells += _number_cells(quaternion_from_rotation(scene.cam_from_world))
+    else:
+        header.append("heading_deg")
+        cells += _number_cells(np.degrees(scene.cam_from_world)[:, None])
+    header += ["component", "n_observations", "n_inliers", "angular_rms_deg"]
+    cells += [
+        scene.view_component.tolist(),
+        statistics.n_observations.tolist(),
+        statistics.n_inliers.tolist(),
+        *_number_cells(np.degrees(statistics.rms_rad)[:, None]),
+    ]
+    if scene.tracks is not None and scene.tracks.time_s is not None:
+        header.append("time_s")
+        cells += _number_cells(scene.tracks.time_s[:, None])
+    return _table(header, cells)
+
+
+def _points_csv(scene: Scene) -> bytes:
+    statistics = scene.point_statistics()
+    header = ["track", *_axes(scene.d), "component", "track_length", "n_inliers", "angular_rms_deg", "flags"]
+    solved = scene.track_component >= 0
+    has_outliers = solved & (statistics.n_inliers < statistics.n_observations)
+    few = solved & (statistics.n_inliers <= 2) & (statistics.n_observations > 0)
+    texts = np.array(["", "outliers", "two_views", "outliers two_views"], dtype=object)
+    flags = texts[has_outliers + 2 * few]
+    flags[~solved] = "undetermined"
+    cells = [
+        scene.track_labels(),
+        *_number_cells(scene.points),
+        scene.track_component.tolist(),
+        statistics.n_observations.tolist(),
+        statistics.n_inliers.tolist(),
+        *_number_cells(np.degrees(statistics.rms_rad)[:, None]),
+        flags.tolist(),
+    ]
+    return _table(header, cells)
+
+
+def _axes(d: int) -> list[str]:
+    return ["x", "y", "z"][:d]
+
+
+def _number_cells(columns: Float) -> list[list[str]]:
+    """Texts that come back bit for bit, empty where not known."""
+    return [["" if math.isnan(v) else repr(v) for v in columns[:, c].tolist()] for c in range(columns.shape[1])]
+
+
+def _table(header: list[str], cells: Sequence[Sequence[Any]]) -> bytes:
+    out = io.StringIO(newline="")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*cells, strict=True))
+    return out.getvalue().encode("utf-8")

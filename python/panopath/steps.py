@@ -1,0 +1,239 @@
+"""The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from panopath import _core
+from panopath.model import (
+    Control,
+    Float,
+    InputError,
+    Int,
+    PositionOptions,
+    Scene,
+    Status,
+    Summary,
+    Tracks,
+    check_orientations,
+    read_only,
+)
+
+Start = tuple[npt.ArrayLike, npt.ArrayLike]
+
+
+def solve_positions(
+    tracks: Tracks,
+    cam_from_world: npt.ArrayLike | None = None,
+    options: PositionOptions | None = None,
+    start: Scene | Start | None = None,
+) -> Scene:
+    """Camera positions and points from bearings of known orientation, d = 2 or 3.
+
+    Parameters
+    ----------
+    tracks
+        The observations.
+    cam_from_world
+        (n_views, 3, 3) rotations, or (n_views,) headings in radians for d = 2. None: bearings are world directions.
+    options
+        Choices; default ``PositionOptions()``.
+    start
+        A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d), to refine instead of starting
+        from nothing; NaN rows are found anew.
+
+    Returns
+    -------
+    Scene
+        In the gauge of ``options.gauge``; ``scene.summary.status`` says how it ended.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that cannot be used.
+    """
+    chosen = PositionOptions() if options is None else options
+    if not isinstance(tracks, Tracks):
+        raise InputError(f"tracks is a {type(tracks).__name__}, expected Tracks (see Tracks.from_arrays)")
+    if not isinstance(chosen, PositionOptions):
+        raise InputError(f"options is a {type(chosen).__name__}, expected PositionOptions")
+    orientations = _orientations(tracks, cam_from_world)
+    found = _call(
+        _core.solve_positions,
+        tracks.view,
+        tracks.track,
+        tracks.bearing,
+        tracks.n_views,
+        tracks.n_tracks,
+        tracks.sigma_rad,
+        orientations,
+        _core_options(chosen, tracks),
+        None if start is None else _start(start, tracks),
+    )
+    return _scene(found, tracks)
+
+
+def position_covariance(
+    tracks: Tracks,
+    scene: Scene | Start,
+    cam_from_world: npt.ArrayLike | None = None,
+    inlier: npt.ArrayLike | None = None,
+) -> Float:
+    """Covariance of the camera centres at a given scene: the Cramer-Rao bound where that scene is the truth.
+
+    Parameters
+    ----------
+    tracks
+        The observations, with their ``sigma_rad``; without, a standard deviation of one radian is meant.
+    scene
+        A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d).
+    cam_from_world
+        As in :func:`solve_positions`.
+    inlier
+        (N,) bool, the observations that count; default: those of the scene that is given, or all.
+
+    Returns
+    -------
+    array
+        (n_views, d, d), in the units of the scene squared, after alignment of all centres by shift and scale. NaN
+        for views that are not determined.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that cannot be used.
+    """
+    centers, points = _start(scene, tracks)
+    mask = inlier
+    if mask is None and isinstance(scene, Scene) and scene.inlier.shape == tracks.view.shape:
+        mask = scene.inlier
+    if mask is not None:
+        mask = np.ascontiguousarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != tracks.view.shape:
+            raise InputError(f"inlier has type {mask.dtype} and shape {mask.shape}, expected bool {tracks.view.shape}")
+    covariance = _call(
+        _core.position_covariance,
+        tracks.view,
+        tracks.track,
+        tracks.bearing,
+        tracks.n_views,
+        tracks.n_tracks,
+        tracks.sigma_rad,
+        _orientations(tracks, cam_from_world),
+        centers,
+        points,
+        mask,
+    )
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def _call(function: Any, *arguments: Any) -> Any:
+    """Call the core; what it finds wrong with the input becomes an :class:`InputError`."""
+    try:
+        return function(*arguments)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _orientations(tracks: Tracks, cam_from_world: npt.ArrayLike | None) -> Float | None:
+    return None if cam_from_world is None else check_orientations(cam_from_world, tracks.n_views, tracks.d)
+
+
+def _start(start: Scene | Start, tracks: Tracks) -> tuple[Float, Float]:
+    """Both arrays of a start, of the shapes that the tracks ask for; NaN rows pass."""
+    if isinstance(start, Scene):
+        given: Sequence[npt.ArrayLike] = (start.centers, start.points)
+    else:
+        given = tuple(start)
+    if len(given) != 2:
+        raise InputError(f"start has {len(given)} entries, expected a Scene or (centers, points)")
+    checked = []
+    for name, values, count in (("centers", given[0], tracks.n_views), ("points", given[1], tracks.n_tracks)):
+        array = np.ascontiguousarray(values, dtype=np.float64)
+        if array.shape != (count, tracks.d):
+            raise InputError(f"{name} has shape {array.shape}, expected {(count, tracks.d)}")
+        if np.isinf(array).any():
+            raise InputError(f"{name} holds an infinite coordinate, expected finite ones, or NaN where unknown")
+        checked.append(array)
+    return checked[0], checked[1]
+
+
+def _core_options(options: PositionOptions, tracks: Tracks) -> dict[str, Any]:
+    plain = {name: value for name, value in options.__dict__.items() if name != "control"}
+    views, view_positions, points, point_positions = _control(options.control, tracks)
+    plain["control_views"] = views
+    plain["control_view_positions"] = view_positions
+    plain["control_tracks"] = points
+    plain["control_track_positions"] = point_positions
+    plain["control_rotation"] = options.control is not None and options.control.rotation
+    return plain
+
+
+def _control(control: Control | None, tracks: Tracks) -> tuple[Int, Float, Int, Float]:
+    if control is None:
+        none, nowhere = np.empty(0, dtype=np.int32), np.empty((0, tracks.d))
+        return none, nowhere, none, nowhere
+    if control.d != tracks.d:
+        raise InputError(f"control has positions of {control.d} coordinates, but the bearings have {tracks.d}")
+    views = _resolve("view", control.views, tracks.view_names, tracks.n_views)
+    points = _resolve("track", control.points, tracks.track_names, tracks.n_tracks)
+    return views, _rows(control.views, tracks.d), points, _rows(control.points, tracks.d)
+
+
+def _rows(table: Mapping[str | int, Sequence[float]], d: int) -> Float:
+    return np.array(list(table.values()), dtype=np.float64).reshape(len(table), d)
+
+
+def _resolve(kind: str, table: Mapping[str | int, Any], names: tuple[str, ...] | None, count: int) -> Int:
+    """Look keys up: a name where the tracks have names, else the index as text; an ``int`` is an index."""
+    index_of = {} if names is None else {name: index for index, name in enumerate(names)}
+    indices = []
+    for key in table:
+        index = key if isinstance(key, int) else index_of.get(key)
+        if index is None and names is None and isinstance(key, str) and key.isdecimal():
+            index = int(key)
+        if index is None or not 0 <= index < count:
+            raise InputError(f"control names the {kind} {key!r}, which is not among the {count} {kind}s")
+        indices.append(index)
+    if len(set(indices)) != len(indices):
+        raise InputError(f"control names a {kind} twice, expected each {kind} once")
+    return np.array(indices, dtype=np.int32)
+
+
+def _scene(found: Mapping[str, Any], tracks: Tracks) -> Scene:
+    view_component = np.asarray(found["view_component"], dtype=np.int32)
+    track_component = np.asarray(found["track_component"], dtype=np.int32)
+    inlier = np.asarray(found["inlier"], dtype=np.bool_)
+    summary = Summary(
+        status=Status(found["status"]),
+        iterations=int(found["iterations"]),
+        sigma_rad=float(found["sigma_rad"]),
+        seconds=MappingProxyType({str(stage): float(time) for stage, time in found["seconds"].items()}),
+        n_views=tracks.n_views,
+        n_tracks=tracks.n_tracks,
+        n_observations=len(tracks),
+        n_inliers=int(inlier.sum()),
+        n_solved_views=int((view_component >= 0).sum()),
+        n_solved_points=int((track_component >= 0).sum()),
+        n_components=int(found["n_components"]),
+    )
+    return Scene(
+        centers=read_only(found["centers"]),
+        points=read_only(found["points"]),
+        view_component=view_component,
+        track_component=track_component,
+        inlier=inlier,
+        residual_rad=found["residual_rad"],
+        cam_from_world=found["cam_from_world"],
+        summary=summary,
+        tracks=tracks,
+        view_names=tracks.view_names,
+        track_names=tracks.track_names,
+    )
