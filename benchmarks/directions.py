@@ -1,9 +1,9 @@
 """Relative directions between views from the bearings they share, for solvers that know no points.
 
 For views ``i, j`` at ``C_i, C_j`` and world directions ``v_i, v_j`` to the same point, ``n = v_i x v_j`` is
-perpendicular to the baseline: ``n . t = 0``, ``t = (C_j - C_i) / |C_j - C_i|``. Each pair of views gets the ``t`` of the
-least robust sum of ``rho(n . t / gradient)``, the gradient turning ``n . t`` into an angle. Everything runs over all pairs
-at once: a row is one point seen by one pair, rows are sorted by pair, and sums over a pair are ``np.add.reduceat``.
+perpendicular to the baseline: ``n . t = 0``, ``t = (C_j - C_i) / |C_j - C_i|``. Each pair of views gets the ``t`` of
+the least robust sum of ``rho(n . t / gradient)``, the gradient turning ``n . t`` into an angle. Everything runs over
+all pairs at once: a row is one point seen by one pair, rows are sorted by pair, and a pair is summed by ``reduceat``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
 from panopath.model import Float, Int
 
 #: Random two-point hypotheses per pair; with 35 % false bearings all of them are contaminated once in 10^4.

@@ -9,11 +9,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from panopath.model import Float, Int
 
 from benchmarks.directions import PairDirections, pairwise_directions
-from panopath.model import Float, Int
+from benchmarks.optional import load
 
 #: Bearings that a peer holds may differ from ours by rounding only.
 SAME_BEARING = 1e-9
@@ -59,7 +61,7 @@ class PeerResult:
 
 def pycolmap_global_positioning(problem: Bearings, seed: int = 0) -> PeerResult:
     """COLMAP's global positioning, points and cameras from a random start, equirectangular cameras."""
-    import pycolmap  # noqa: PLC0415
+    pycolmap = load("pycolmap")
 
     pycolmap.logging.minloglevel = 2
     reconstruction = _pycolmap_reconstruction(problem)
@@ -77,9 +79,9 @@ def pycolmap_global_positioning(problem: Bearings, seed: int = 0) -> PeerResult:
     return PeerResult(centers, points, seconds, n_inputs, notes if success else f"{notes}; it reports failure")
 
 
-def _pycolmap_reconstruction(problem: Bearings) -> pycolmap.Reconstruction:  # type: ignore[name-defined] # noqa: F821
+def _pycolmap_reconstruction(problem: Bearings) -> Any:
     """Images of one equirectangular camera, rotations set, positions and points at zero, tracks by point id."""
-    import pycolmap  # noqa: PLC0415
+    pycolmap = load("pycolmap")
 
     camera = pycolmap.Camera.create_from_model_name(1, "EQUIRECTANGULAR", 1.0, IMAGE_WIDTH, IMAGE_WIDTH // 2)
     pixels = camera.img_from_cam(problem.bearing)
@@ -105,7 +107,7 @@ def _pycolmap_reconstruction(problem: Bearings) -> pycolmap.Reconstruction:  # t
     return reconstruction
 
 
-def _check_pycolmap_input(reconstruction: pycolmap.Reconstruction, problem: Bearings) -> int:  # type: ignore[name-defined] # noqa: F821
+def _check_pycolmap_input(reconstruction: Any, problem: Bearings) -> int:
     """Read the bearings back from what the peer holds and compare them one by one; returns their number."""
     n_held = int(reconstruction.compute_num_observations())
     if n_held != len(problem.view):
@@ -129,7 +131,7 @@ def _check_pycolmap_input(reconstruction: pycolmap.Reconstruction, problem: Bear
 
 def pytheia_lud(problem: Bearings, seed: int = 0) -> PeerResult:
     """Theia's least unsquared deviations (Ozyesil and Singer 2015) on pairwise directions."""
-    import pytheia  # noqa: PLC0415
+    pytheia = load("pytheia")
 
     options = pytheia.sfm.LeastUnsquaredDeviationPositionEstimatorOptions()
     return _run_theia(pytheia.sfm.LeastUnsquaredDeviationPositionEstimator(options), problem, seed)
@@ -137,7 +139,7 @@ def pytheia_lud(problem: Bearings, seed: int = 0) -> PeerResult:
 
 def pytheia_nonlinear(problem: Bearings, seed: int = 0) -> PeerResult:
     """Theia's nonlinear position estimator (Wilson and Snavely 2014) on pairwise directions."""
-    import pytheia  # noqa: PLC0415
+    pytheia = load("pytheia")
 
     reconstruction = pytheia.sfm.Reconstruction()
     for view in range(problem.n_views):
@@ -146,17 +148,17 @@ def pytheia_nonlinear(problem: Bearings, seed: int = 0) -> PeerResult:
     return _run_theia(pytheia.sfm.NonlinearPositionEstimator(options, reconstruction), problem, seed)
 
 
-def _run_theia(estimator: object, problem: Bearings, seed: int) -> PeerResult:
+def _run_theia(estimator: Any, problem: Bearings, seed: int) -> PeerResult:
     """Theia wants ``position_2`` in the frame of the first camera and orientations as rotation vectors."""
-    import pytheia  # noqa: PLC0415
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415
+    pytheia = load("pytheia")
+    as_rotation = load("scipy.spatial.transform").Rotation.from_matrix
 
     pairs, preparation = _directions(problem, seed)
     rotations = problem.cam_from_world
     in_first = np.einsum("nij,nj->ni", rotations[pairs.first], pairs.direction)
     second_from_first = np.einsum("nij,nkj->nik", rotations[pairs.second], rotations[pairs.first])
-    turns = Rotation.from_matrix(second_from_first).as_rotvec()
-    orientation_vectors = Rotation.from_matrix(rotations).as_rotvec()
+    turns = as_rotation(second_from_first).as_rotvec()
+    orientation_vectors = as_rotation(rotations).as_rotvec()
     edges = {}
     for p, (i, j) in enumerate(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)):
         edge = pytheia.sfm.TwoViewInfo()
@@ -165,7 +167,7 @@ def _run_theia(estimator: object, problem: Bearings, seed: int) -> PeerResult:
         edges[i, j] = edge
     orientations = {view: orientation_vectors[view] for view in range(problem.n_views)}
     began = time.perf_counter()
-    found = estimator.EstimatePositions(edges, orientations)  # type: ignore[attr-defined]
+    found = estimator.EstimatePositions(edges, orientations)
     seconds = time.perf_counter() - began
     centers = np.full((problem.n_views, 3), np.nan)
     for view, position in found.items():
@@ -175,7 +177,7 @@ def _run_theia(estimator: object, problem: Bearings, seed: int) -> PeerResult:
 
 def gtsam_translation_recovery(problem: Bearings, seed: int = 0) -> PeerResult:
     """GTSAM's translation recovery on pairwise directions, each with its own standard deviation."""
-    import gtsam  # noqa: PLC0415
+    gtsam = load("gtsam")
 
     pairs, preparation = _directions(problem, seed)
     measurements = []
@@ -196,7 +198,7 @@ def gtsam_translation_recovery(problem: Bearings, seed: int = 0) -> PeerResult:
 
 
 def _directions(problem: Bearings, seed: int) -> tuple[PairDirections, float]:
-    """The directions and the seconds they took."""
+    """Estimate the directions; also the seconds they took."""
     began = time.perf_counter()
     directions = problem.world_directions()
     pairs = pairwise_directions(problem.view, problem.track, directions, problem.noise_rad, seed=seed)
