@@ -33,7 +33,7 @@ class Case:
     max_over_optimum: float | None = None
 
     def scaled(self, factor: float) -> Case:
-        """Shrink: the same case with ``factor`` times the views and points, at most 2 seeds, once, promising nothing."""
+        """Shrink: ``factor`` times the views and points, at most 2 seeds, once, promising nothing."""
         options = dict(self.options)
         for name in ("n_views", "n_points"):
             options[name] = max(20, round(options[name] * factor))
@@ -57,7 +57,7 @@ def _size(n_views: int, n_points: int) -> dict[str, Any]:
 
 
 def _hard(name: str, title: str, world: str = "street", exact: bool = True, **options: Any) -> Case:
-    """Make a robustness row: 6 seeds of 100 views and 10k points; 1.2 times the optimum where orientations are exact."""
+    """Make a robustness row: 6 seeds; 1.2 times the optimum is promised where orientations are exact."""
     limit = 1.2 if exact else None
     return Case(name, title, world, {**_size(100, 10_000), **options}, seeds=SIX, max_over_optimum=limit)
 

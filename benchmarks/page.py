@@ -80,7 +80,7 @@ def _promises(results: dict[str, Result]) -> str:
         "memory",
         "promised",
     ]
-    return "## Speed, size and accuracy\n\n" + table(header, rows)
+    return "## Speed, size and accuracy\n\n" + table((*header, "promised"), rows)
 
 
 def _promise_row(case: Case, result: Result) -> Sequence[str]:

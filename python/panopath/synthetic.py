@@ -123,16 +123,16 @@ def simulate(
     depth_min_m, depth_max_m
         Street, line, stop_and_go, chain: log-uniform range of a point's distance (1 to 200); weak chain 1 to 20.
     spacing_m
-        Worlds with a path: distance between consecutive views (1; room 0.25).
+        Worlds with a path, weak chain: distance between consecutive views (1; room 0.25).
     wobble_m
-        Worlds with a path: standard deviation of a view about it, per axis (0.05; line and weak 0).
+        Worlds with a path, weak chain: standard deviation of a view about it, per axis (0.05; line, weak chain 0).
     near_m
         Room: how far from a track's anchor view the others may be (1).
     go_views, stop_views
         Stop_and_go: steps between two pauses (10) and views taken in a pause (5).
     n_clusters, n_links, weak_mode
         Weak: number of clusters (2); two-view tracks that join one to the next, which are the last tracks (4); whether
-        clusters or a chain hang together by little.
+        such clusters are meant, or a chain of views that share only two-view tracks.
     conic, off_conic
         Ellipse: the curve. Ellipse, cylinder: standard deviation by which the points leave it (0: ambiguous).
 

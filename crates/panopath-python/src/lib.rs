@@ -9,6 +9,7 @@ mod table;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     table::register(module)?;
+    sphere::register(module)?;
     synthetic::register(module)?;
     Ok(())
 }

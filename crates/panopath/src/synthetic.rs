@@ -206,9 +206,9 @@ pub struct WorldOptions {
     pub depth_min_m: Option<f64>,
     /// The same worlds: largest distance: 200; weak chain 20.
     pub depth_max_m: Option<f64>,
-    /// Worlds with a path: distance between consecutive views: 1; room 0.25.
+    /// Worlds with a path, weak chain: distance between consecutive views: 1; room 0.25.
     pub spacing_m: Option<f64>,
-    /// Worlds with a path: standard deviation of a view about it, per axis: 0.05; line and weak 0.
+    /// Worlds with a path, weak chain: standard deviation of a view about it, per axis: 0.05; line, weak chain 0.
     pub wobble_m: Option<f64>,
     /// Room: views up to this far from a track's anchor view may share the track: 1.
     pub near_m: Option<f64>,
@@ -379,7 +379,30 @@ fn check_used(kind: WorldKind, o: &WorldOptions) -> Result<(), WorldError> {
             return Err(WorldError::NotUsed { option, world: kind.name(), worlds });
         }
     }
-    Ok(())
+    if kind == Weak { check_used_by_weak(o) } else { Ok(()) }
+}
+
+fn check_used_by_weak(o: &WorldOptions) -> Result<(), WorldError> {
+    let of_chain = [
+        ("depth_min_m", o.depth_min_m.is_some()),
+        ("depth_max_m", o.depth_max_m.is_some()),
+        ("spacing_m", o.spacing_m.is_some()),
+        ("wobble_m", o.wobble_m.is_some()),
+    ];
+    let of_clusters = [
+        ("min_views", o.min_views.is_some()),
+        ("max_views", o.max_views.is_some()),
+        ("n_clusters", o.n_clusters.is_some()),
+        ("n_links", o.n_links.is_some()),
+    ];
+    let (unused, world, worlds) = match o.weak_mode.unwrap_or_default() {
+        WeakMode::Clusters => (of_chain, "weak (clusters)", "weak (chain)"),
+        WeakMode::Chain => (of_clusters, "weak (chain)", "weak (clusters)"),
+    };
+    match unused.into_iter().find(|(_, is_given)| *is_given) {
+        Some((option, _)) => Err(WorldError::NotUsed { option, world, worlds: worlds.to_owned() }),
+        None => Ok(()),
+    }
 }
 
 fn check_ranges(o: &WorldOptions) -> Result<(), WorldError> {
