@@ -1,6 +1,7 @@
 """From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
 
 from panopath import _core
+from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     read_control,
     read_problem,
@@ -13,6 +14,7 @@ from panopath.formats import (
 from panopath.model import (
     Control,
     InputError,
+    MissingExtraError,
     PanopathError,
     PositionOptions,
     Problem,
@@ -28,7 +30,9 @@ __version__ = _core.__version__
 
 __all__ = [
     "Control",
+    "Evaluation",
     "InputError",
+    "MissingExtraError",
     "PanopathError",
     "PositionOptions",
     "Problem",
@@ -38,6 +42,7 @@ __all__ = [
     "SyntheticWorld",
     "Tracks",
     "__version__",
+    "evaluate",
     "position_covariance",
     "read_control",
     "read_problem",

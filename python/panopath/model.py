@@ -45,6 +45,10 @@ class InputError(PanopathError, ValueError):
     """The input cannot be used; the text names the file, line or argument and what was expected."""
 
 
+class MissingExtraError(InputError):
+    """Something needs a package that the base install leaves out; the text says which extra brings it."""
+
+
 class Status(StrEnum):
     """How a solver ended. A status is an answer, not an exception."""
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from panopath import _core
 from panopath.formats.structure import known_scene
-from panopath.model import Float, InputError, Problem, Tracks
+from panopath.model import Float, InputError, Int, Problem, Tracks
 
 _FIRST_LINE = re.compile(rb"\s*(\d+)[ \t]+(\d+)[ \t]+(\d+)[ \t]*\r?\n")
 _CAMERA_NUMBERS = 9
@@ -39,7 +39,7 @@ def read_bal(data: bytes, source: str) -> Problem:
         raise InputError(f"{source}: line 1: expected the numbers of cameras, points and observations")
     n_views, n_points, n = (int(field) for field in match.groups())
     try:
-        numbers = _core.read_numbers(data[match.end() :], source, match.group().count(b"\n"))
+        numbers = _core.read_numbers(data, source, match.group().count(b"\n"))
     except ValueError as error:
         raise InputError(str(error)) from None
     expected = 4 * n + _CAMERA_NUMBERS * n_views + 3 * n_points
@@ -63,7 +63,7 @@ def read_bal(data: bytes, source: str) -> Problem:
     return Problem(tracks, cam_from_world, known_scene(tracks, cam_from_world, centers, points))
 
 
-def _ids(values: Float, limit: int, kind: str, source: str) -> Float:
+def _ids(values: Float, limit: int, kind: str, source: str) -> Int:
     wrong = (values != np.floor(values)) | (values < 0) | (values >= limit)
     if wrong.any():
         first = int(np.argmax(wrong))
@@ -71,7 +71,7 @@ def _ids(values: Float, limit: int, kind: str, source: str) -> Float:
             f"{source}: observation {first} (line {first + 2}): the {kind} is {values[first]:g}, "
             f"expected a whole number below {limit}"
         )
-    return values
+    return values.astype(np.int32)
 
 
 def _undistort(pixel: Float, intrinsics: Float, source: str) -> Float:

@@ -6,6 +6,7 @@ Unprojection of a pixel is pycolmap's (extra ``colmap``); the files are read and
 
 from __future__ import annotations
 
+import importlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import numpy.typing as npt
 from panopath.formats.csv import quaternion_from_rotation, rotation_from_quaternion
 from panopath.formats.files import read_bytes
 from panopath.formats.structure import known_scene
-from panopath.model import Bool, Float, InputError, Problem, Scene, Tracks
+from panopath.model import Bool, Float, InputError, MissingExtraError, Problem, Scene, Tracks
 
 Index = npt.NDArray[np.intp]
 
@@ -139,12 +140,11 @@ def _problem(
 
 def _pycolmap() -> Any:
     try:
-        import pycolmap  # noqa: PLC0415 (an extra: only those who read COLMAP models need it)
+        return importlib.import_module("pycolmap")
     except ImportError:
-        raise InputError(
+        raise MissingExtraError(
             'COLMAP cameras need pycolmap: install the extra with pip install "panopath[colmap]"'
         ) from None
-    return pycolmap
 
 
 def _camera(camera: _Camera, camera_id: int, path: Path) -> Any:
@@ -401,7 +401,10 @@ def _points_bytes(scene: Scene, tracks: Tracks, features: _Features) -> bytes:
     ray = np.einsum(
         "nij,nj->ni", scene.cam_from_world[tracks.view[rows]], scene.points[track] - scene.centers[tracks.view[rows]]
     )
-    error = np.linalg.norm(equirectangular_pixels(ray, features.width, features.height) - features.pixels[rows], axis=1)
+    off = equirectangular_pixels(ray, features.width, features.height) - features.pixels[rows]
+    # left and right edge are one meridian: the short way round counts
+    off[:, 0] -= features.width * np.round(off[:, 0] / features.width)
+    error = np.hypot(off[:, 0], off[:, 1])
     elements = np.stack((tracks.view[rows] + 1, features.place[rows]), axis=1).astype("<u4")
     chunks = [struct.pack("<Q", len(ids))]
     grey = (200, 200, 200)

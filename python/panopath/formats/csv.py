@@ -298,6 +298,25 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
     write_bytes(Path(path), out.getvalue().encode("utf-8"))
 
 
+def write_orientations(cam_from_world: Float, names: Sequence[str], path: str | PathLike[str]) -> None:
+    """Write an orientations file: ``view,qw,qx,qy,qz``, or ``view,heading_deg`` for (n_views,) headings in radians.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written.
+    """
+    if cam_from_world.ndim == 1:
+        header, values = ["view", "heading_deg"], np.degrees(cam_from_world)[:, None]
+    else:
+        header, values = ["view", *_QUATERNION], quaternion_from_rotation(cam_from_world)
+    out = io.StringIO(newline="")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([name, *map(repr, row)] for name, row in zip(names, values.tolist(), strict=True))
+    write_bytes(Path(path), out.getvalue().encode("utf-8"))
+
+
 def direction_columns(bearing: Float, form: str) -> list[Float]:
     """Columns of ``form`` for (N, d) unit vectors."""
     if form == "xyz":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 from os import PathLike
 from pathlib import Path
@@ -12,17 +13,19 @@ import numpy as np
 from panopath.formats.csv import direction_columns
 from panopath.formats.files import replacing
 from panopath.formats.frames import read_frame
-from panopath.model import InputError, Tracks
+from panopath.model import InputError, MissingExtraError, Tracks
 
 MAGIC = b"PAR1"
 
 
 def _pyarrow() -> Any:
     try:
-        import pyarrow.parquet  # noqa: PLC0415 (an extra: only those who read Parquet need it)
+        importlib.import_module("pyarrow.parquet")
+        return importlib.import_module("pyarrow")
     except ImportError:
-        raise InputError('Parquet needs pyarrow: install the extra with pip install "panopath[parquet]"') from None
-    return pyarrow
+        raise MissingExtraError(
+            'Parquet needs pyarrow: install the extra with pip install "panopath[parquet]"'
+        ) from None
 
 
 def read_parquet(data: bytes, source: str) -> Tracks:
