@@ -1,6 +1,8 @@
 //! Arrays in, arrays out: the Python face of the `panopath` crate. No algorithm lives here.
 use pyo3::prelude::*;
 
+mod convert;
+mod positions;
 mod sphere;
 mod synthetic;
 mod table;
@@ -8,8 +10,8 @@ mod table;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    table::register(module)?;
+    positions::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
-    Ok(())
+    table::register(module)
 }

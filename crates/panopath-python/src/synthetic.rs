@@ -4,11 +4,12 @@ use std::str::FromStr;
 
 use numpy::ndarray::{Array1, Array2, Array3};
 use numpy::{IntoPyArray, PyArray1, PyArray2};
-use panopath::Rotation;
 use panopath::synthetic::{World, WorldError, WorldKind, WorldOptions, simulate as simulate_world};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+
+use crate::convert::{heading, value_error};
 
 /// Every option by name, `dimension` aside; the order in which they are documented.
 const OPTION_NAMES: [&str; 28] = [
@@ -73,12 +74,6 @@ fn simulate<'py>(py: Python<'py>, world: &str, options: &Bound<'py, PyDict>) -> 
     }
 }
 
-/// Heading of a planar view: `world_from_cam` is the rotation by it.
-fn heading(cam_from_world: &Rotation<2>) -> f64 {
-    let [[cos, sin], _] = *cam_from_world.matrix();
-    sin.atan2(cos)
-}
-
 fn set_option(o: &mut WorldOptions, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
     let count = "a whole number, 0 or more";
     let number = "a number";
@@ -136,10 +131,6 @@ fn optional_choice<T: FromStr<Err = WorldError>>(
     expected: &str,
 ) -> PyResult<Option<T>> {
     if value.is_none() { Ok(None) } else { choice(name, value, expected).map(Some) }
-}
-
-fn value_error(error: WorldError) -> PyErr {
-    PyValueError::new_err(error.to_string())
 }
 
 fn to_dict<'py, const D: usize>(

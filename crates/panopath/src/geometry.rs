@@ -184,3 +184,76 @@ fn determinant<const D: usize>(m: &Matrix<D>) -> f64 {
             .sum(),
     }
 }
+
+/// `x_in_b = scale * rotation * x_in_a + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Similarity<const D: usize = 3> {
+    /// Positive factor.
+    pub scale: f64,
+    /// Applied before scale and shift.
+    pub rotation: Rotation<D>,
+    /// Where the origin of `a` lies in `b`.
+    pub translation: Vector<D>,
+}
+
+impl<const D: usize> Similarity<D> {
+    /// The similarity that changes nothing.
+    pub fn identity() -> Self {
+        Self { scale: 1.0, rotation: Rotation::identity(), translation: [0.0; D] }
+    }
+
+    /// `self * x`.
+    pub fn apply(&self, x: &Vector<D>) -> Vector<D> {
+        add(&scale(self.scale, &self.rotation.apply(x)), &self.translation)
+    }
+
+    /// Least-squares similarity that takes the first of each pair to the second (Umeyama 1991), never a reflection.
+    /// `None` where the pairs do not fix it: fewer than two distinct places.
+    pub fn fit(pairs: &[(Vector<D>, Vector<D>)]) -> Option<Self> {
+        let (from, to) = centroids(pairs);
+        let mut correlation = [[0.0; D]; D];
+        for (a, b) in pairs {
+            let (a, b) = (sub(a, &from), sub(b, &to));
+            for r in 0..D {
+                for c in 0..D {
+                    correlation[r][c] += b[r] * a[c];
+                }
+            }
+        }
+        let rotation = crate::least_squares::nearest_rotation(&correlation)?;
+        Self::fit_scale(pairs, &from, &to, rotation)
+    }
+
+    /// The same with the rotation held at the identity.
+    pub fn fit_unrotated(pairs: &[(Vector<D>, Vector<D>)]) -> Option<Self> {
+        let (from, to) = centroids(pairs);
+        Self::fit_scale(pairs, &from, &to, Rotation::identity())
+    }
+
+    fn fit_scale(
+        pairs: &[(Vector<D>, Vector<D>)],
+        from: &Vector<D>,
+        to: &Vector<D>,
+        rotation: Rotation<D>,
+    ) -> Option<Self> {
+        let (mut along, mut spread) = (0.0, 0.0);
+        for (a, b) in pairs {
+            let a = sub(a, from);
+            along += dot(&rotation.apply(&a), &sub(b, to));
+            spread += dot(&a, &a);
+        }
+        let factor = along / spread;
+        (factor.is_finite() && factor > 0.0).then(|| Self {
+            scale: factor,
+            rotation,
+            translation: sub(to, &scale(factor, &rotation.apply(from))),
+        })
+    }
+}
+
+fn centroids<const D: usize>(pairs: &[(Vector<D>, Vector<D>)]) -> (Vector<D>, Vector<D>) {
+    let share = 1.0 / pairs.len().max(1) as f64;
+    pairs.iter().fold(([0.0; D], [0.0; D]), |(from, to), (a, b)| {
+        (add(&from, &scale(share, a)), add(&to, &scale(share, b)))
+    })
+}

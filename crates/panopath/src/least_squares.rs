@@ -12,6 +12,7 @@ use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use crate::geometry::{Matrix, Rotation, Vector};
 use faer::{Conj, MatMut, Par, Side};
 
 /// Why a system could not be solved.
@@ -273,4 +274,28 @@ pub fn conjugate_gradients(
 
 fn inner(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// The rotation `R` that maximises `trace(R^T m)`, by singular values; `None` where the decomposition fails.
+pub fn nearest_rotation<const D: usize>(m: &Matrix<D>) -> Option<Rotation<D>> {
+    let svd = faer::Mat::from_fn(D, D, |r, c| m[r][c]).svd().ok()?;
+    let (u, v) = (svd.U(), svd.V());
+    let sign = (u.determinant() * v.determinant()).signum();
+    Rotation::from_matrix(std::array::from_fn(|r| {
+        std::array::from_fn(|c| (0..D).map(|k| u[(r, k)] * v[(c, k)] * if k == D - 1 { sign } else { 1.0 }).sum())
+    }))
+}
+
+/// Eigenvalues of a small symmetric matrix in ascending order, with their unit eigenvectors.
+///
+/// # Errors
+/// [`LeastSquaresError::Singular`] where the entries are not finite.
+pub fn symmetric_eigen<const D: usize>(m: &Matrix<D>) -> Result<([f64; D], [Vector<D>; D]), LeastSquaresError> {
+    let matrix = faer::Mat::from_fn(D, D, |r, c| 0.5 * (m[r][c] + m[c][r]));
+    let eigen = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
+    let (values, vectors) = (eigen.S(), eigen.U());
+    Ok((
+        std::array::from_fn(|k| values[k]),
+        std::array::from_fn(|k| std::array::from_fn(|r| vectors[(r, k)])),
+    ))
 }

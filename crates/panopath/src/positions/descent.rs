@@ -33,11 +33,18 @@ pub(super) const OUTLIER_SIGMAS: f64 = 5.0;
 /// Huber's threshold in sigma.
 pub(super) const HUBER_SIGMAS: f64 = 3.0;
 
-struct NewtonWeights<'a, const D: usize> {
+pub(super) struct NewtonWeights<'a, const D: usize> {
     part: &'a Part<D>,
     estimate: &'a Estimate,
     keep: &'a [bool],
     huber: f64,
+}
+
+impl<'a, const D: usize> NewtonWeights<'a, D> {
+    /// Weights at an estimate for the observations in `keep`, Huber's threshold at its multiple of `sigma`.
+    pub fn new(part: &'a Part<D>, estimate: &'a Estimate, keep: &'a [bool], sigma: f64) -> Self {
+        Self { part, estimate, keep, huber: HUBER_SIGMAS * sigma }
+    }
 }
 
 impl<const D: usize> Weighing<D> for NewtonWeights<'_, D> {
@@ -102,7 +109,7 @@ pub(super) fn descend<const D: usize>(
         if cost <= EXACT * kept as f64 {
             return Ok(Descent { iterations: iteration, converged: true });
         }
-        let weights = NewtonWeights { part, estimate, keep, huber };
+        let weights = NewtonWeights::new(part, estimate, keep, sigma);
         system.assemble(part, &weights, Damping { point: damping, view: damping });
         let step = match system.solve() {
             Ok(step) => step,

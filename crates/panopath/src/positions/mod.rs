@@ -1,36 +1,499 @@
 //! Camera positions and points from bearings of known orientation.
-use crate::geometry::Rotation;
+//!
+//! With `v` the world direction of an observation, `c` the centre of its view and `x` the point of its track, the answer
+//! minimises `sum rho(angle(v, x - c) / sigma)` over all centres and points, up to translation and scale.
+//!
+//! [`solve_positions`] reads: rotate bearings into the world, split the input into parts that share a scale, solve each
+//! part (robustly, or by the paper's linear least squares), split again on what was kept, place each part in the gauge.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use crate::geometry::{Rotation, Similarity, Vector};
 use crate::tracks::Tracks;
 
 mod descent;
+mod gauge;
+mod information;
+mod linear;
+mod options;
 mod part;
 mod parts;
 mod reduced;
 mod robust;
 mod start;
 
+pub use information::position_covariance;
+pub use options::{Control, Gauge, LinearForm, LinearGauge, Method, PositionError, PositionOptions};
 pub use reduced::LinearSolver;
+
 use part::{Lanes, Part};
+use parts::{Parts, Sightings, jointly_scaled_parts};
+use robust::PartSolution;
+use start::Estimate;
+
+/// How a solver ended. A status is an answer, not an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Status {
+    /// One part, solved.
+    Converged,
+    /// Solved, but in more than one part, each with a scale of its own.
+    Disconnected,
+    /// The iterations ran out first.
+    MaxIterations,
+    /// The geometry leaves freedoms beyond the gauge, or so nearly that noise hides the difference.
+    Ambiguous,
+    /// Nothing is determined.
+    Undetermined,
+}
+
+impl Status {
+    /// The name used in files and in Python.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::Disconnected => "disconnected",
+            Self::MaxIterations => "max_iterations",
+            Self::Ambiguous => "ambiguous",
+            Self::Undetermined => "undetermined",
+        }
+    }
+}
 
 /// Wall-clock seconds of each stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Timings {
+    /// World directions, parts and memory layout.
     pub layout_s: f64,
+    /// Pattern of the reduced system and its order of elimination.
     pub analyse_s: f64,
+    /// Linear steps and re-weighting.
     pub start_s: f64,
+    /// Gauss-Newton and masks.
     pub descent_s: f64,
+    /// Second split, gauge and residuals.
+    pub finish_s: f64,
 }
 
-pub fn trial<const D: usize>(tracks: &Tracks<D>, cam_from_world: Option<&[Rotation<D>]>) -> (Vec<[f64; D]>, Timings, usize, f64) {
-    let clock = std::time::Instant::now();
-    let mut timings = Timings::default();
-    let all: Vec<u32> = (0..tracks.len() as u32).collect();
-    let world_from_cam: Option<Vec<Rotation<D>>> = cam_from_world.map(|r| r.iter().map(Rotation::inverse).collect());
-    let part = Part::<D>::new(
-        tracks.n_views(), tracks.n_tracks(), &all, tracks.track(), |o| tracks.view()[o],
-        |o| { let b = &tracks.bearing()[o]; let mut l = Lanes::from_vector::<D>(&world_from_cam.as_ref().map_or(*b, |r| r[tracks.view()[o] as usize].apply(b))); l.0[3] = 1.0; l },
-        |_| true);
-    timings.layout_s = clock.elapsed().as_secs_f64();
-    let s = robust::solve_part(&part, None, LinearSolver::Auto, 50, &mut timings).unwrap();
-    (s.estimate.centers.iter().map(|c| c.vector()).collect(), timings, s.iterations, s.sigma)
+/// What a solve did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summary {
+    /// How it ended.
+    pub status: Status,
+    /// Linear and Gauss-Newton steps, over all parts.
+    pub iterations: usize,
+    /// Noise estimate from the inliers of the largest part, radians in each tangent direction; with `sigma_rad` given,
+    /// that of an observation of median sigma.
+    pub sigma_rad: f64,
+    /// Number of jointly scaled parts.
+    pub n_components: usize,
+    /// Seconds of each stage.
+    pub timings: Timings,
+}
+
+/// Camera centres and points, in the gauge asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Structure<const D: usize = 3> {
+    /// Camera centres; NaN where not determined.
+    pub centers: Vec<Vector<D>>,
+    /// Points; NaN where not determined.
+    pub points: Vec<Vector<D>>,
+    /// Part of each view, 0 the largest, -1 none.
+    pub view_component: Vec<i32>,
+    /// Part of each track, -1 none.
+    pub track_component: Vec<i32>,
+    /// Does the observation agree with the answer?
+    pub inlier: Vec<bool>,
+    /// Angle between each bearing and its prediction; NaN where there is none.
+    pub residual_rad: Vec<f64>,
+    /// Orientations in the output frame.
+    pub cam_from_world: Vec<Rotation<D>>,
+    /// How the solve went.
+    pub summary: Summary,
+}
+
+/// Finds camera centres and points from bearings.
+///
+/// `cam_from_world` holds one rotation for each view; without it the bearings are world directions already.
+///
+/// # Errors
+/// [`PositionError`] where the arguments do not fit together. Input that determines little or nothing is no error: see
+/// [`Summary::status`].
+///
+/// # Example
+/// ```
+/// use panopath::positions::{PositionOptions, Status, solve_positions};
+/// use panopath::synthetic::{WorldKind, WorldOptions, simulate};
+/// let world = simulate::<3>(WorldKind::Box, &WorldOptions { n_views: 5, n_points: 20, ..Default::default() })?;
+/// let scene = solve_positions(&world.tracks, Some(&world.cam_from_world), &PositionOptions::default())?;
+/// assert_eq!(scene.summary.status, Status::Converged);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn solve_positions<const D: usize>(
+    tracks: &Tracks<D>,
+    cam_from_world: Option<&[Rotation<D>]>,
+    options: &PositionOptions<D>,
+) -> Result<Structure<D>, PositionError> {
+    const { assert!(D == 2 || D == 3) }
+    check(tracks, cam_from_world, options)?;
+    let clock = Instant::now();
+    let rays = Rays::new(tracks, cam_from_world);
+    let parts = rays.parts(tracks, options.split_parts, None);
+    let mut timings = Timings { layout_s: clock.elapsed().as_secs_f64(), ..Timings::default() };
+
+    let mut answer = Answer::nothing(tracks);
+    for index in 0..parts.views.len() {
+        answer.solve_part(tracks, &rays, &parts, index, options, &mut timings)?;
+    }
+    let clock = Instant::now();
+    answer.keep_what_is_determined(tracks, &rays, options);
+    let structure = answer.place(cam_from_world, options)?;
+    timings.finish_s = clock.elapsed().as_secs_f64();
+    Ok(Structure { summary: Summary { timings, ..structure.summary }, ..structure })
+}
+
+fn check<const D: usize>(
+    tracks: &Tracks<D>,
+    cam_from_world: Option<&[Rotation<D>]>,
+    options: &PositionOptions<D>,
+) -> Result<(), PositionError> {
+    let expected = tracks.n_views();
+    if let Some(rotations) = cam_from_world
+        && rotations.len() != expected
+    {
+        return Err(PositionError::Orientations { found: rotations.len(), expected });
+    }
+    if let Some((centers, points)) = &options.start {
+        if (centers.len(), points.len()) != (expected, tracks.n_tracks()) {
+            let (n, m) = (centers.len(), points.len());
+            let wanted = tracks.n_tracks();
+            return Err(PositionError::Start(format!(
+                "{n} centres and {m} points given, expected {expected} and {wanted}"
+            )));
+        }
+    }
+    if let Method::Linear { form: LinearForm::TwoStage { vertical_axis }, .. } = options.method
+        && vertical_axis >= D
+    {
+        return Err(PositionError::Option(format!("vertical_axis is {vertical_axis}, expected 0 to {}", D - 1)));
+    }
+    if let Gauge::Control(control) = &options.gauge {
+        check_control("view", &control.views, expected)?;
+        check_control("track", &control.tracks, tracks.n_tracks())?;
+    }
+    Ok(())
+}
+
+fn check_control<const D: usize>(name: &str, known: &[(u32, Vector<D>)], limit: usize) -> Result<(), PositionError> {
+    for (id, position) in known {
+        if *id as usize >= limit {
+            return Err(PositionError::Control(format!("{name} {id} does not exist, there are {limit}")));
+        }
+        if position.iter().any(|x| !x.is_finite()) {
+            return Err(PositionError::Control(format!("the position of {name} {id} is not finite")));
+        }
+    }
+    Ok(())
+}
+
+/// World directions of all observations and their precisions.
+struct Rays<const D: usize> {
+    direction: Vec<Vector<D>>,
+    /// `(sigma_reference / sigma)^2`.
+    precision: Option<Vec<f64>>,
+    /// Rays nearer to parallel than the noise fix no distance.
+    parallel_rad: f64,
+}
+
+impl<const D: usize> Rays<D> {
+    fn new(tracks: &Tracks<D>, cam_from_world: Option<&[Rotation<D>]>) -> Self {
+        /// Parallax below this many sigma is noise.
+        const NOISE_SIGMAS: f64 = 5.0;
+        let direction = match cam_from_world {
+            None => tracks.bearing().to_vec(),
+            Some(rotations) => {
+                let world_from_cam: Vec<Rotation<D>> = rotations.iter().map(Rotation::inverse).collect();
+                let views = tracks.view().par_iter();
+                views.zip(tracks.bearing()).map(|(&v, b)| world_from_cam[v as usize].apply(b)).collect()
+            }
+        };
+        let reference = tracks.sigma_rad().map(|sigma| start::median(&mut sigma.to_vec()));
+        let precision = tracks
+            .sigma_rad()
+            .zip(reference)
+            .map(|(sigma, reference)| sigma.iter().map(|s| (reference / s).powi(2)).collect());
+        let parallel_rad = reference.map_or(parts::PARALLEL_RAD, |s| (NOISE_SIGMAS * s).max(parts::PARALLEL_RAD));
+        Self { direction, precision, parallel_rad }
+    }
+
+    /// Parts that share a scale, on the observations kept (all of them where none is given).
+    fn parts(&self, tracks: &Tracks<D>, split: bool, keep: Option<&[bool]>) -> Parts {
+        let all;
+        let keep = match keep {
+            Some(keep) => keep,
+            None => {
+                all = vec![true; tracks.len()];
+                &all
+            }
+        };
+        let seen = Sightings {
+            n_views: tracks.n_views(),
+            n_tracks: tracks.n_tracks(),
+            view: tracks.view(),
+            track: tracks.track(),
+            direction: &self.direction,
+            parallel_rad: self.parallel_rad,
+        };
+        if split { jointly_scaled_parts(&seen, keep) } else { parts::single_part(&seen, keep) }
+    }
+
+    fn lanes(&self, o: usize) -> Lanes {
+        let mut lanes = Lanes::from_vector::<D>(&self.direction[o]);
+        lanes.0[3] = self.precision.as_ref().map_or(1.0, |p| p[o]);
+        lanes
+    }
+}
+
+/// What is known so far, in the input's numbering and in each part's own frame.
+struct Answer<const D: usize> {
+    centers: Vec<Vector<D>>,
+    points: Vec<Vector<D>>,
+    view_component: Vec<i32>,
+    track_component: Vec<i32>,
+    inlier: Vec<bool>,
+    residual_rad: Vec<f64>,
+    n_components: usize,
+    iterations: usize,
+    /// Status and noise estimate of the largest part.
+    largest: Option<(Status, f64)>,
+}
+
+const NOWHERE: f64 = f64::NAN;
+
+impl<const D: usize> Answer<D> {
+    fn nothing(tracks: &Tracks<D>) -> Self {
+        Self {
+            centers: vec![[NOWHERE; D]; tracks.n_views()],
+            points: vec![[NOWHERE; D]; tracks.n_tracks()],
+            view_component: vec![-1; tracks.n_views()],
+            track_component: vec![-1; tracks.n_tracks()],
+            inlier: vec![false; tracks.len()],
+            residual_rad: vec![NOWHERE; tracks.len()],
+            n_components: 0,
+            iterations: 0,
+            largest: None,
+        }
+    }
+
+    /// Solves one part and writes down the views and tracks that no larger part has.
+    fn solve_part(
+        &mut self,
+        tracks: &Tracks<D>,
+        rays: &Rays<D>,
+        parts: &Parts,
+        index: usize,
+        options: &PositionOptions<D>,
+        timings: &mut Timings,
+    ) -> Result<(), PositionError> {
+        let clock = Instant::now();
+        let views = &parts.views[index];
+        let part = lay_out(tracks, rays, views, &parts.tracks[index]);
+        timings.layout_s += clock.elapsed().as_secs_f64();
+        if part.n_tracks() == 0 {
+            return Ok(());
+        }
+        let start = options.start.as_ref().map(|given| start_of_part(given, &part, views)).transpose()?;
+        let solution = match options.method {
+            Method::Robust => {
+                robust::solve_part(&part, start, options.linear_solver, options.max_iterations, timings)?
+            }
+            Method::Linear { form, gauge } => robust::solve_part_linearly(&part, form, gauge, timings)?,
+        };
+        self.write(rays, &part, views, &solution);
+        Ok(())
+    }
+
+    fn write(&mut self, rays: &Rays<D>, part: &Part<D>, views: &[u32], solution: &PartSolution) {
+        let component = self.n_components as i32;
+        self.n_components += 1;
+        for (&view, center) in views.iter().zip(&solution.estimate.centers) {
+            if self.view_component[view as usize] < 0 {
+                self.view_component[view as usize] = component;
+                self.centers[view as usize] = center.vector();
+            }
+        }
+        for (&track, point) in part.input_track.iter().zip(&solution.estimate.points) {
+            if self.track_component[track as usize] < 0 {
+                self.track_component[track as usize] = component;
+                self.points[track as usize] = point.vector();
+            }
+        }
+        for (k, &o) in part.input_observation.iter().enumerate() {
+            let o = o as usize;
+            self.inlier[o] |= solution.inlier[k];
+            let precision = rays.precision.as_ref().map_or(1.0, |p| p[o]);
+            self.residual_rad[o] = 2.0 * (0.5 * solution.chord[k] / precision.sqrt()).min(1.0).asin();
+        }
+        self.largest.get_or_insert((solution.status, solution.sigma));
+        self.iterations += solution.iterations;
+    }
+
+    /// Splits again on the observations that were kept: what only outliers held together is taken apart, and what only
+    /// outliers determined is not determined.
+    fn keep_what_is_determined(&mut self, tracks: &Tracks<D>, rays: &Rays<D>, options: &PositionOptions<D>) {
+        let parts = rays.parts(tracks, options.split_parts, Some(&self.inlier));
+        let before = std::mem::replace(&mut self.track_component, vec![-1; tracks.n_tracks()]);
+        let views_before = std::mem::replace(&mut self.view_component, vec![-1; tracks.n_views()]);
+        self.n_components = 0;
+        for (views, members) in parts.views.iter().zip(&parts.tracks) {
+            // a hinge keeps the frame of the larger part: members of another frame are left to that part
+            let Some(frame) = most_common(members.iter().map(|&t| before[t as usize])) else { continue };
+            let component = self.n_components as i32;
+            let mut found = false;
+            for &view in views.iter().filter(|&&v| views_before[v as usize] == frame) {
+                let label = &mut self.view_component[view as usize];
+                if *label < 0 {
+                    *label = component;
+                    found = true;
+                }
+            }
+            for &track in members.iter().filter(|&&t| before[t as usize] == frame) {
+                let label = &mut self.track_component[track as usize];
+                *label = if *label < 0 && found { component } else { *label };
+            }
+            self.n_components += usize::from(found);
+        }
+        for (center, &component) in self.centers.iter_mut().zip(&self.view_component) {
+            if component < 0 {
+                *center = [NOWHERE; D];
+            }
+        }
+        for (point, &component) in self.points.iter_mut().zip(&self.track_component) {
+            if component < 0 {
+                *point = [NOWHERE; D];
+            }
+        }
+        for (o, (&view, &track)) in tracks.view().iter().zip(tracks.track()).enumerate() {
+            if self.view_component[view as usize] < 0 || self.track_component[track as usize] < 0 {
+                self.inlier[o] = false;
+                self.residual_rad[o] = NOWHERE;
+            }
+        }
+    }
+
+    /// Moves each part into the gauge asked for.
+    fn place(
+        mut self,
+        cam_from_world: Option<&[Rotation<D>]>,
+        options: &PositionOptions<D>,
+    ) -> Result<Structure<D>, PositionError> {
+        let mut orientations =
+            cam_from_world.map_or_else(|| vec![Rotation::identity(); self.centers.len()], <[Rotation<D>]>::to_vec);
+        let centers = members(&self.view_component, &self.centers, self.n_components);
+        let points = members(&self.track_component, &self.points, self.n_components);
+        let mut output_from_part = Vec::with_capacity(self.n_components);
+        for (centers, points) in centers.iter().zip(&points) {
+            output_from_part.push(gauge::gauge_from_solution(&options.gauge, centers, points)?);
+        }
+        if matches!(options.gauge, Gauge::Control(_)) && output_from_part.iter().all(Option::is_none) {
+            let text = "fewer than two of the known positions belong to one solved part, expected at least two";
+            return Err(PositionError::Control(text.to_owned()));
+        }
+        for (component, (centers, points)) in centers.iter().zip(&points).enumerate() {
+            let placed = match output_from_part[component] {
+                Some(similarity) => similarity,
+                None => gauge::gauge_from_solution(&Gauge::Normalized, centers, points)?.unwrap_or(Similarity::identity()),
+            };
+            let old_from_new = placed.rotation.inverse();
+            for (view, center) in centers {
+                self.centers[*view as usize] = placed.apply(center);
+                orientations[*view as usize] = orientations[*view as usize].compose(&old_from_new);
+            }
+            for (track, point) in points {
+                self.points[*track as usize] = placed.apply(point);
+            }
+        }
+        let (status, sigma_rad) = match self.largest {
+            Some((Status::Converged, sigma)) if self.n_components > 1 => (Status::Disconnected, sigma),
+            Some(largest) if self.n_components > 0 => largest,
+            _ => (Status::Undetermined, NOWHERE),
+        };
+        let summary = Summary {
+            status,
+            iterations: self.iterations,
+            sigma_rad,
+            n_components: self.n_components,
+            timings: Timings::default(),
+        };
+        Ok(Structure {
+            centers: self.centers,
+            points: self.points,
+            view_component: self.view_component,
+            track_component: self.track_component,
+            inlier: self.inlier,
+            residual_rad: self.residual_rad,
+            cam_from_world: orientations,
+            summary,
+        })
+    }
+}
+
+/// Lays out the observations between the views and the tracks of a part.
+fn lay_out<const D: usize>(tracks: &Tracks<D>, rays: &Rays<D>, views: &[u32], members: &[u32]) -> Part<D> {
+    let mut local = vec![u32::MAX; tracks.n_views()];
+    for (k, &view) in views.iter().enumerate() {
+        local[view as usize] = k as u32;
+    }
+    let mut is_member = vec![false; tracks.n_tracks()];
+    for &track in members {
+        is_member[track as usize] = true;
+    }
+    let belongs = |o: u32| {
+        local[tracks.view()[o as usize] as usize] != u32::MAX && is_member[tracks.track()[o as usize] as usize]
+    };
+    let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| belongs(o)).collect();
+    Part::new(
+        views.len(),
+        tracks.n_tracks(),
+        &observations,
+        tracks.track(),
+        |o| local[tracks.view()[o] as usize],
+        |o| rays.lanes(o),
+    )
+}
+
+/// The caller's start for one part; a point that is not finite is sought anew.
+fn start_of_part<const D: usize>(
+    (centers, points): &(Vec<Vector<D>>, Vec<Vector<D>>),
+    part: &Part<D>,
+    views: &[u32],
+) -> Result<Estimate, PositionError> {
+    if let Some(view) = views.iter().find(|&&v| centers[v as usize].iter().any(|x| !x.is_finite())) {
+        return Err(PositionError::Start(format!("the centre of view {view} is not finite")));
+    }
+    Ok(Estimate {
+        centers: views.iter().map(|&v| Lanes::from_vector::<D>(&centers[v as usize])).collect(),
+        points: part.input_track.iter().map(|&t| Lanes::from_vector::<D>(&points[t as usize])).collect(),
+    })
+}
+
+/// Positions of the members of each component, in ascending order of their index.
+fn members<const D: usize>(component: &[i32], position: &[Vector<D>], n: usize) -> Vec<Vec<(u32, Vector<D>)>> {
+    let mut members = vec![Vec::new(); n];
+    for (id, (&c, x)) in component.iter().zip(position).enumerate() {
+        if c >= 0 {
+            members[c as usize].push((id as u32, *x));
+        }
+    }
+    members
+}
+
+/// The value that stands most often, the smaller of equals; negative values do not count.
+fn most_common(values: impl Iterator<Item = i32>) -> Option<i32> {
+    let mut counts = std::collections::BTreeMap::new();
+    for value in values.filter(|&v| v >= 0) {
+        *counts.entry(value).or_insert(0usize) += 1;
+    }
+    counts.into_iter().max_by_key(|&(value, n)| (n, std::cmp::Reverse(value))).map(|(value, _)| value)
 }

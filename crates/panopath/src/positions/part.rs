@@ -92,10 +92,10 @@ impl<const D: usize> Part<D> {
         self.start[j] as usize..self.start[j + 1] as usize
     }
 
-    /// Lays out the observations `(input observation, local view, ray)` of the tracks for which `keep` holds.
+    /// Lays out these observations of the input, with their local views and rays.
     ///
-    /// `of_track(o)` is the track of input observation `o`; tracks are ordered by their first view, so that neighbours
-    /// in memory touch neighbouring blocks of the reduced system.
+    /// Tracks are ordered by their first view, so that neighbours in memory touch neighbouring blocks of the reduced
+    /// system.
     pub fn new(
         n_views: usize,
         n_tracks: usize,
@@ -103,7 +103,6 @@ impl<const D: usize> Part<D> {
         track_of: &[u32],
         local_view: impl Fn(usize) -> u32,
         ray: impl Fn(usize) -> Lanes,
-        keep: impl Fn(usize) -> bool,
     ) -> Self {
         let mut first = vec![u32::MAX; n_tracks];
         let mut length = vec![0u32; n_tracks];
@@ -112,7 +111,7 @@ impl<const D: usize> Part<D> {
             length[j] += 1;
             first[j] = first[j].min(local_view(o as usize));
         }
-        let input_track = order_by_first_view(n_views, &first, |j| length[j] > 0 && keep(j));
+        let input_track = order_by_first_view(n_views, &first);
         let mut place = vec![u32::MAX; n_tracks];
         let mut start = vec![0u32; input_track.len() + 1];
         for (j, &t) in input_track.iter().enumerate() {
@@ -141,10 +140,10 @@ impl<const D: usize> Part<D> {
     }
 }
 
-/// Tracks to keep, in order of their first view and then of their index (counting sort).
-fn order_by_first_view(n_views: usize, first: &[u32], keep: impl Fn(usize) -> bool) -> Vec<u32> {
+/// Tracks that were seen, in order of their first view and then of their index (counting sort).
+fn order_by_first_view(n_views: usize, first: &[u32]) -> Vec<u32> {
     let mut count = vec![0u32; n_views + 1];
-    let kept: Vec<u32> = (0..first.len()).filter(|&j| keep(j)).map(|j| j as u32).collect();
+    let kept: Vec<u32> = (0..first.len()).filter(|&j| first[j] != u32::MAX).map(|j| j as u32).collect();
     for &j in &kept {
         count[first[j as usize] as usize + 1] += 1;
     }

@@ -105,7 +105,7 @@ fn spans_all_views<const D: usize>(seen: &Sightings<'_, D>, keep: &[bool], body:
 }
 
 /// All views with two kept observations, and all tracks with two kept rays that are not parallel.
-fn single_part<const D: usize>(seen: &Sightings<'_, D>, keep: &[bool]) -> Parts {
+pub(super) fn single_part<const D: usize>(seen: &Sightings<'_, D>, keep: &[bool]) -> Parts {
     let mut count = vec![0u32; seen.n_views];
     let mut first = vec![u32::MAX; seen.n_tracks];
     let mut crossed = vec![false; seen.n_tracks];

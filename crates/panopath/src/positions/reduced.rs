@@ -222,13 +222,10 @@ pub(super) struct ReducedSystem<const D: usize> {
     accumulators: Vec<Accumulator>,
     pinned: usize,
     values: Vec<f64>,
-    pub rhs: Vec<f64>,
-    cholesky: Option<SparseCholesky>,
-    ordering: Ordering,
-    iterative: bool,
-    /// Factorisations and conjugate-gradient products so far.
-    pub n_factorisations: usize,
-    pub n_products: usize,
+    rhs: Vec<f64>,
+    diagonal: Vec<Lanes>,
+    cholesky: SparseCholesky,
+    n_factorisations: usize,
 }
 
 impl<const D: usize> ReducedSystem<D> {
@@ -237,26 +234,18 @@ impl<const D: usize> ReducedSystem<D> {
         let pattern = co_visibility(part);
         let locator = Locator::new(&pattern);
         let ordering = minimum_degree::<D>(&pattern)?;
-        let iterative = match solver {
-            LinearSolver::Direct => false,
-            LinearSolver::Iterative => true,
-            LinearSolver::Auto => ordering.factor_flops > iterative_flops::<D>(&pattern),
-        };
-        let cholesky = if iterative { None } else { Some(SparseCholesky::analyse::<D>(&pattern, &ordering)?) };
         let accumulators = part.chunks.iter().map(|tracks| Accumulator::over::<D>(part, tracks, &pattern)).collect();
         let (n_blocks, n_views) = (pattern.row.len(), part.n_views);
         Ok(Self {
             pinned: most_observed_view(part),
             values: vec![0.0; n_blocks * D * D - n_views * (D * (D - 1) / 2)],
             rhs: vec![0.0; n_views * D],
+            diagonal: vec![Lanes::ZERO; n_views],
+            accumulators,
+            cholesky: SparseCholesky::analyse::<D>(&pattern, &ordering)?,
+            n_factorisations: 0,
             pattern,
             locator,
-            accumulators,
-            cholesky,
-            ordering,
-            iterative,
-            n_factorisations: 0,
-            n_products: 0,
         })
     }
 
@@ -274,7 +263,8 @@ impl<const D: usize> ReducedSystem<D> {
 
     /// Adds the chunks, in their order, into the values of the lower triangle and the right-hand side.
     fn gather(&mut self, view_damping: f64) {
-        let mut diagonal = vec![Lanes::ZERO; self.pattern.n_nodes()];
+        let mut diagonal = std::mem::take(&mut self.diagonal);
+        diagonal.fill(Lanes::ZERO);
         self.rhs.fill(0.0);
         for sums in &self.accumulators {
             for (slot, view) in sums.views.clone().enumerate() {
@@ -298,16 +288,37 @@ impl<const D: usize> ReducedSystem<D> {
             gather_column::<D>(pattern, accumulators, node, pinned, &diagonal[node], view_damping, largest, column);
         });
         self.rhs[pinned * D..(pinned + 1) * D].fill(0.0);
+        self.diagonal = diagonal;
     }
 
-    /// Factorises the assembled system and solves it for its right-hand side.
-    pub fn solve(&mut self) -> Result<Vec<Lanes>, LeastSquaresError> {
-        let mut x = self.rhs.clone();
-        let Some(cholesky) = &mut self.cholesky else { return Err(LeastSquaresError::Singular { pivot: 0 }) };
-        cholesky.factorise(&self.values)?;
+    /// Factorises the assembled system.
+    pub fn factorise(&mut self) -> Result<(), LeastSquaresError> {
         self.n_factorisations += 1;
-        cholesky.solve(&mut x, 1)?;
-        Ok(x.chunks_exact(D).map(|c| Lanes::from_vector::<D>(&std::array::from_fn(|r| c[r]))).collect())
+        self.cholesky.factorise(&self.values)
+    }
+
+    /// Solves the assembled system for its right-hand side.
+    pub fn solve(&mut self) -> Result<Vec<Lanes>, LeastSquaresError> {
+        self.factorise()?;
+        let mut x = self.rhs.clone();
+        self.cholesky.solve(&mut x, 1)?;
+        Ok(x.as_chunks::<D>().0.iter().map(Lanes::from_vector::<D>).collect())
+    }
+
+    /// Solves the system factorised last for other right-hand sides, one after the other in `right`; the pinned view's
+    /// entries must be zero.
+    pub fn solve_for(&self, right: &mut [f64], n_right: usize) -> Result<(), LeastSquaresError> {
+        self.cholesky.solve(right, n_right)
+    }
+
+    /// The view that is held.
+    pub fn pinned(&self) -> usize {
+        self.pinned
+    }
+
+    /// Diagonal of the unreduced camera blocks, to which the damping of views is relative.
+    pub fn diagonal(&self) -> &[Lanes] {
+        &self.diagonal
     }
 }
 

@@ -17,6 +17,14 @@ pub(super) struct Estimate {
     pub points: Vec<Lanes>,
 }
 
+impl Estimate {
+    /// Nothing known.
+    pub fn nowhere<const D: usize>(part: &Part<D>) -> Self {
+        let nan = Lanes([f64::NAN; 4]);
+        Self { centers: vec![nan; part.n_views], points: vec![nan; part.n_tracks()] }
+    }
+}
+
 /// Smallest noise scale, in radians: keeps weights finite on exact data.
 pub(super) const SCALE_FLOOR_RAD: f64 = 2e-4;
 /// The scale is this multiple of the median chord.

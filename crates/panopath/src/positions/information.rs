@@ -1,0 +1,196 @@
+//! What the noise lets one know: the Fisher information of the centres, its weakest mode and its inverse.
+//!
+//! At an estimate, the reduced system assembled with weights `1/sigma^2` is the Fisher information of the camera centres
+//! with the points eliminated. Its inverse, in the gauge of a fit by translation and scale over the cameras, bounds the
+//! covariance of any unbiased estimate (Cramer and Rao).
+
+use super::descent::NewtonWeights;
+use super::options::PositionError;
+use super::part::{Lanes, Part};
+use super::reduced::{Damping, LinearSolver, ReducedSystem};
+use super::start::{Estimate, normalise};
+use super::{Rays, lay_out};
+use crate::geometry::{Matrix, Rotation, Vector};
+use crate::least_squares::LeastSquaresError;
+use crate::tracks::Tracks;
+
+/// Relative damping that keeps exact gauge freedoms factorisable.
+const GUARD: f64 = 1e-12;
+/// A mode whose movement at one standard deviation exceeds this share of the rms size of the path is not determined.
+const LOOSE_MOVEMENT: f64 = 0.3;
+/// A mode is held by the guard alone where its stiffness is less than this multiple of the guard's.
+const GUARD_MULTIPLE: f64 = 3.0;
+/// Inverse iterations; the sought mode is separated from the next by far where it matters.
+const INVERSE_ITERATIONS: usize = 6;
+/// Right-hand sides solved together when the covariance is formed.
+const BLOCK_OF_SOLVES: usize = 48;
+
+/// Assembles the information at an estimate, in units of `1/sigma^2`, from the observations in `keep`.
+pub(super) fn assemble_information<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    estimate: &Estimate,
+    keep: &[bool],
+    sigma: f64,
+) {
+    let weights = NewtonWeights::new(part, estimate, keep, sigma);
+    system.assemble(part, &weights, Damping { point: GUARD, view: GUARD });
+}
+
+/// Does the weakest mode beyond the gauge move by a large share of the path at one standard deviation? Uses the system as
+/// it was factorised last, and finds the mode by inverse iteration.
+pub(super) fn weakest_mode_is_loose<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    estimate: &Estimate,
+    sigma: f64,
+) -> Result<bool, LeastSquaresError> {
+    if part.n_views < 2 {
+        return Ok(true);
+    }
+    let gauge = GaugeBasis::<D>::new(&estimate.centers);
+    let pinned = system.pinned();
+    let diagonal: Vec<f64> = system.diagonal().iter().flat_map(|d| d.vector::<D>()).collect();
+    // any start with a share of every mode will do; this one is the same on every run
+    let mut mode: Vec<f64> = (0..part.n_views * D).map(|k| (1.0 + 2.3 * k as f64).sin()).collect();
+    gauge.remove(&mut mode);
+    let (mut movement, mut from_guard) = (0.0, false);
+    for _ in 0..INVERSE_ITERATIONS {
+        let length = dot_product(&mode, &mode).sqrt();
+        if length.is_nan() || length <= 0.0 {
+            return Ok(length.is_nan());
+        }
+        mode.iter_mut().for_each(|x| *x /= length);
+        let pushed = mode.clone();
+        mode[pinned * D..(pinned + 1) * D].fill(0.0);
+        system.solve_for(&mut mode, 1)?;
+        let stiffness = dot_product(&mode, &pushed);
+        let guard: f64 = mode.iter().zip(&diagonal).map(|(x, d)| GUARD * d * x * x).sum();
+        gauge.remove(&mut mode);
+        let squared = dot_product(&mode, &mode);
+        movement = sigma * (squared / stiffness / part.n_views as f64).sqrt();
+        from_guard = stiffness < GUARD_MULTIPLE * guard;
+    }
+    Ok(movement.is_nan() || movement > LOOSE_MOVEMENT || from_guard)
+}
+
+/// Translations and the scale of a set of centres, orthonormal.
+struct GaugeBasis<const D: usize> {
+    n: usize,
+    scale: Vec<f64>,
+}
+
+impl<const D: usize> GaugeBasis<D> {
+    fn new(centers: &[Lanes]) -> Self {
+        let mut centred = centers.to_vec();
+        normalise(&mut centred);
+        let n = centers.len();
+        let unit = 1.0 / (n as f64).sqrt();
+        Self { n, scale: centred.iter().flat_map(|c| c.times(unit).vector::<D>()).collect() }
+    }
+
+    /// Takes the gauge out of a displacement of all centres.
+    fn remove(&self, x: &mut [f64]) {
+        for c in 0..D {
+            let mean = x.iter().skip(c).step_by(D).sum::<f64>() / self.n as f64;
+            x.iter_mut().skip(c).step_by(D).for_each(|v| *v -= mean);
+        }
+        let along = dot_product(x, &self.scale);
+        x.iter_mut().zip(&self.scale).for_each(|(v, s)| *v -= along * s);
+    }
+}
+
+fn dot_product(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// Covariance of the camera centres that the noise allows (the Cramer-Rao bound) at a structure, for instance the truth.
+///
+/// In the gauge of a least-squares fit by translation and scale over the views that take part; NaN for the others.
+/// `sigma_rad` is the angular standard deviation of every observation where the tracks carry none; `keep` says which
+/// observations count (all of them where it is absent). Units are those of `centers`, squared.
+///
+/// # Errors
+/// [`PositionError`] where the arguments do not fit together or the geometry leaves the centres undetermined.
+pub fn position_covariance<const D: usize>(
+    tracks: &Tracks<D>,
+    cam_from_world: Option<&[Rotation<D>]>,
+    centers: &[Vector<D>],
+    points: &[Vector<D>],
+    sigma_rad: f64,
+    keep: Option<&[bool]>,
+) -> Result<Vec<Matrix<D>>, PositionError> {
+    if (centers.len(), points.len()) != (tracks.n_views(), tracks.n_tracks()) {
+        return Err(PositionError::Start(format!(
+            "{} centres and {} points given, expected {} and {}",
+            centers.len(),
+            points.len(),
+            tracks.n_views(),
+            tracks.n_tracks()
+        )));
+    }
+    if let Some(rotations) = cam_from_world
+        && rotations.len() != tracks.n_views()
+    {
+        return Err(PositionError::Orientations { found: rotations.len(), expected: tracks.n_views() });
+    }
+    let finite = |x: &Vector<D>| x.iter().all(|v| v.is_finite());
+    let rays = Rays::new(tracks, cam_from_world);
+    let counts: Vec<bool> = (0..tracks.len())
+        .map(|o| {
+            let (view, track) = (tracks.view()[o] as usize, tracks.track()[o] as usize);
+            keep.is_none_or(|k| k[o]) && finite(&centers[view]) && finite(&points[track])
+        })
+        .collect();
+    let parts = rays.parts(tracks, false, Some(&counts));
+    let (views, members) = (&parts.views[0], &parts.tracks[0]);
+    let part = lay_out(tracks, &rays, views, members);
+    let mut covariance = vec![[[f64::NAN; D]; D]; tracks.n_views()];
+    if part.n_tracks() == 0 {
+        return Ok(covariance);
+    }
+    let estimate = Estimate {
+        centers: views.iter().map(|&v| Lanes::from_vector::<D>(&centers[v as usize])).collect(),
+        points: part.input_track.iter().map(|&t| Lanes::from_vector::<D>(&points[t as usize])).collect(),
+    };
+    let kept: Vec<bool> = part.input_observation.iter().map(|&o| counts[o as usize]).collect();
+    let reference = tracks.sigma_rad().map_or(sigma_rad, |s| super::start::median(&mut s.to_vec()));
+    let mut system = ReducedSystem::analyse(&part, LinearSolver::Direct)?;
+    assemble_information(&part, &mut system, &estimate, &kept, f64::INFINITY);
+    system.factorise()?;
+    let gauge = GaugeBasis::<D>::new(&estimate.centers);
+    let blocks = diagonal_blocks_of_inverse(&system, &gauge, part.n_views)?;
+    for (&view, block) in views.iter().zip(blocks) {
+        covariance[view as usize] = block.map(|row| row.map(|x| x * reference * reference));
+    }
+    Ok(covariance)
+}
+
+/// Diagonal blocks of `Q S^-1 Q^T`, `Q` the projection that takes the gauge out: by solves, a block of columns at a time.
+fn diagonal_blocks_of_inverse<const D: usize>(
+    system: &ReducedSystem<D>,
+    gauge: &GaugeBasis<D>,
+    n_views: usize,
+) -> Result<Vec<Matrix<D>>, LeastSquaresError> {
+    let n = n_views * D;
+    let pinned = system.pinned() * D..(system.pinned() + 1) * D;
+    let mut blocks = vec![[[0.0; D]; D]; n_views];
+    for first in (0..n).step_by(BLOCK_OF_SOLVES) {
+        let count = BLOCK_OF_SOLVES.min(n - first);
+        let mut columns = vec![0.0; n * count];
+        for (k, column) in columns.chunks_exact_mut(n).enumerate() {
+            column[first + k] = 1.0;
+            gauge.remove(column);
+            column[pinned.clone()].fill(0.0);
+        }
+        system.solve_for(&mut columns, count)?;
+        for (k, column) in columns.chunks_exact_mut(n).enumerate() {
+            gauge.remove(column);
+            let (view, c) = ((first + k) / D, (first + k) % D);
+            for r in 0..D {
+                blocks[view][r][c] = column[view * D + r];
+            }
+        }
+    }
+    Ok(blocks)
+}
