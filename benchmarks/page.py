@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
-from statistics import median
+from math import isfinite, sqrt
+from statistics import fmean, median
 from typing import Any
 
 from benchmarks.cases import CASES, NOISE_DEG, Case
@@ -32,7 +32,10 @@ METHOD = f"""
   tracks, rotations and bearings (to 1e-9) are compared with ours one by one.
 - **rms** is the root mean square camera error after the best shift and scale, the only freedoms there are when
   orientations are known. `inf` means that at least one view was given no position.
-- **Bound** is the Cramér-Rao bound of that rms over the true inliers. **Optimum** is our refinement started from the
+- **Bound** is the Cramér-Rao bound of that rms over the true inliers. A few slow modes of the path carry most of the
+  error, so that on one scene even the optimum lies anywhere from 0.3 to 1.5 times the bound; over many scenes the root
+  mean square of that ratio tends to 1, and this is what is given ("/ bound"), over all seeds of a case.
+  **Optimum** is our refinement started from the
   truth, on the true inliers alone: what a perfect start and a perfect outlier test would give on this very noise.
 - **Memory** is the peak of the process above what it held with the input (observations and orientations) in place.
 - **pycolmap** gets equirectangular cameras 2^24 pixels wide (no rounding), its default options and random start.
@@ -65,7 +68,7 @@ def _machines(results: dict[str, Result]) -> str:
 
 
 def _promises(results: dict[str, Result]) -> str:
-    rows = [_promise_row(CASES[name], result) for name, result in results.items() if len(CASES[name].seeds) == 1]
+    rows = [_promise_row(CASES[name], result) for name, result in results.items() if not CASES[name].hard]
     if not rows:
         return ""
     header = [
@@ -87,8 +90,7 @@ def _promise_row(case: Case, result: Result) -> Sequence[str]:
     seconds = _seconds(result["ours"])
     peer = _seconds(result["peers"].get("pycolmap", []))
     speedup = peer / seconds if peer and seconds else None
-    accuracy = result["seeds"][0]
-    over_bound, over_optimum = _ratio(accuracy, "bound"), _ratio(accuracy, "optimum")
+    over_bound, over_optimum = _pooled(result["seeds"], "bound"), _worst(result["seeds"], "optimum")
     memory = max((run["memory_mb"] for run in result["ours"] if "memory_mb" in run), default=None)
     verdicts = [
         _verdict(f">= {case.min_speedup:g}x faster", speedup, case.min_speedup, at_least=True),
@@ -108,7 +110,7 @@ def _promise_row(case: Case, result: Result) -> Sequence[str]:
         _time(result["ours"]),
         _time(result["peers"].get("pycolmap", [])),
         number(speedup, "{:.0f}x"),
-        _millimetres(accuracy["ours"]),
+        _millimetres(result["seeds"][0]["ours"]),
         number(over_bound, "{:.2f}"),
         number(over_optimum, "{:.2f}"),
         number(memory, "{:.0f} MB"),
@@ -154,7 +156,7 @@ def _growth(results: dict[str, Result]) -> str:
     rows = []
     for name, result in results.items():
         runs = [run for run in result["ours"] if "seconds" in run]
-        if CASES[name].world == "street" and len(CASES[name].seeds) == 1 and runs:
+        if CASES[name].world == "street" and not CASES[name].hard and runs:
             seconds, count = _seconds(runs), runs[0]["n_observations"]
             if seconds is not None:
                 rows.append((result["title"], f"{count:,}", _time(runs), f"{1e6 * seconds / count:.2f} s"))
@@ -164,10 +166,10 @@ def _growth(results: dict[str, Result]) -> str:
 
 
 def _robustness(results: dict[str, Result]) -> str:
-    rows = [_robustness_row(CASES[name], result) for name, result in results.items() if len(CASES[name].seeds) > 1]
+    rows = [_robustness_row(CASES[name], result) for name, result in results.items() if CASES[name].hard]
     if not rows:
         return ""
-    header = ("case", "solved", "rms, median", "rms, worst", "/ bound, median", "/ optimum, worst", "time", "promised")
+    header = ("case", "solved", "rms, median", "rms, worst", "/ bound", "/ optimum, worst", "time", "promised")
     text = (
         "One scene a seed. Solved: every view has a position and all share one scale. Where orientations are off, the "
         "optimum is off with them: no limit is promised there, and the bound, which takes them as exact, is far away."
@@ -179,9 +181,7 @@ def _robustness_row(case: Case, result: Result) -> Sequence[str]:
     seeds = result["seeds"]
     solved = sum(is_solved(seed["ours"]) for seed in seeds)
     values = [seed["ours"].get("rms", float("inf")) for seed in seeds]
-    over_bound = [ratio for seed in seeds if (ratio := _ratio(seed, "bound")) is not None]
-    over_optimum = [ratio for seed in seeds if (ratio := _ratio(seed, "optimum")) is not None]
-    worst = max(over_optimum) if len(over_optimum) == len(seeds) else None
+    worst = _worst(seeds, "optimum")
     verdict = "all solved: " + ("met" if solved == len(seeds) else "**missed**")
     if case.max_over_optimum is not None:
         verdict += "; " + _verdict(f"<= {case.max_over_optimum:g} x optimum", worst, case.max_over_optimum)
@@ -190,7 +190,7 @@ def _robustness_row(case: Case, result: Result) -> Sequence[str]:
         f"{solved} of {len(seeds)}",
         number(1000 * median(values), "{:.2f} mm"),
         number(1000 * max(values), "{:.2f} mm"),
-        number(median(over_bound) if over_bound else None, "{:.2f}"),
+        number(_pooled(seeds, "bound"), "{:.2f}"),
         number(worst, "{:.2f}"),
         _time([seed["ours"] for seed in seeds]),
         verdict,
@@ -217,9 +217,23 @@ def _time(runs: list[Result]) -> str:
     return f"{seconds:.3g} s"
 
 
-def _ratio(accuracy: Result, reference: str) -> float | None:
-    ours, other = accuracy["ours"].get("rms"), accuracy[reference].get("rms")
-    return ours / other if ours is not None and other else None
+def _ratios(seeds: list[Result], reference: str) -> list[float] | None:
+    """Our rms over the reference's on each scene, or None where one of them was not measured."""
+    pairs = [(seed["ours"].get("rms"), seed[reference].get("rms")) for seed in seeds]
+    if any(ours is None or not other for ours, other in pairs):
+        return None
+    return [ours / other for ours, other in pairs]
+
+
+def _pooled(seeds: list[Result], reference: str) -> float | None:
+    """Root mean square of the ratios: 1 for a solver at the bound, however few modes carry the error."""
+    ratios = _ratios(seeds, reference)
+    return None if ratios is None else sqrt(fmean(ratio**2 for ratio in ratios))
+
+
+def _worst(seeds: list[Result], reference: str) -> float | None:
+    ratios = _ratios(seeds, reference)
+    return None if ratios is None else max(ratios)
 
 
 def _millimetres(run: Result) -> str:
