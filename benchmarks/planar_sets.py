@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from panopath.model import Float, Int
 
 from benchmarks.optional import load
-from panopath.model import Float, Int
 
 #: Roh's sensor looked along the world's y axis at every station.
 ROH_HEADING_RAD = np.pi / 2

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from panopath.model import Float, Int
 
 from benchmarks.optional import load
-from panopath.model import Float, Int
 
 #: BAL looks along -z with y up, COLMAP along +z with y down.
 COLMAP_FROM_BAL = np.diag([1.0, -1.0, -1.0])
