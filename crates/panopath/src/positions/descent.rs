@@ -15,8 +15,15 @@ use crate::least_squares::LeastSquaresError;
 const FIRST_DAMPING: f64 = 1e-12;
 /// A point whose normal matrix holds less than this share of its trace in depth steps in inverse depth.
 const LOW_PARALLAX: f64 = 0.05;
-/// Gauss-Newton stops when the cost falls by less than this share.
-const COST_TOLERANCE: f64 = 1e-6;
+/// Gauss-Newton stops when the squared error in units of sigma falls by less than this: one would be a standard deviation
+/// along one mode.
+const GAIN_TOLERANCE: f64 = 0.02;
+/// Or by less than this share of the cost.
+const RELATIVE_TOLERANCE: f64 = 1e-9;
+/// A point whose squared error rises by more than this, in units of sigma, is fitted again to the moved cameras.
+const POINT_RISE: f64 = 0.5;
+/// Steps of such a fit.
+const POINT_ITERATIONS: usize = 4;
 /// A mean squared chord below this is exact to the last digits of the input.
 const EXACT: f64 = 1e-27;
 
@@ -30,6 +37,8 @@ pub(super) const SIGMA_FLOOR_RAD: f64 = 1e-9;
 
 /// Observations farther than this many sigma from their prediction are outliers.
 pub(super) const OUTLIER_SIGMAS: f64 = 5.0;
+/// Share of degrees of freedom below which the noise estimate is not corrected any further.
+const LEAST_FREEDOM: f64 = 0.05;
 /// Huber's threshold in sigma.
 pub(super) const HUBER_SIGMAS: f64 = 3.0;
 
@@ -45,13 +54,17 @@ impl<'a, const D: usize> NewtonWeights<'a, D> {
     pub fn new(part: &'a Part<D>, estimate: &'a Estimate, keep: &'a [bool], sigma: f64) -> Self {
         Self { part, estimate, keep, huber: HUBER_SIGMAS * sigma }
     }
-}
 
-impl<const D: usize> Weighing<D> for NewtonWeights<'_, D> {
+    /// Huber's threshold, in radians at the reference sigma.
+    pub fn huber(&self) -> f64 {
+        self.huber
+    }
+
+    /// Model of observation `o` of a point seen from a centre.
     #[inline(always)]
-    fn observe(&self, o: usize, j: usize) -> Quadratic {
+    fn model(&self, o: usize, point: &Lanes, center: &Lanes) -> Quadratic {
         let ray = &self.part.ray[o];
-        let u = self.estimate.points[j].minus(&self.estimate.centers[self.part.view[o] as usize]);
+        let u = point.minus(center);
         let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
         let mut direction = u.times(reciprocal);
         let error = ray.minus(&direction);
@@ -63,12 +76,18 @@ impl<const D: usize> Weighing<D> for NewtonWeights<'_, D> {
         direction.0[3] = rho * reciprocal * reciprocal;
         Quadratic { direction, gradient }
     }
+}
+
+impl<const D: usize> Weighing<D> for NewtonWeights<'_, D> {
+    #[inline(always)]
+    fn observe(&self, o: usize, j: usize) -> Quadratic {
+        self.model(o, &self.estimate.points[j], &self.estimate.centers[self.part.view[o] as usize])
+    }
 
     #[inline(always)]
     fn depth_axis(&self, j: usize) -> Lanes {
-        let first = self.part.start[j] as usize;
-        let u = self.estimate.points[j].minus(&self.estimate.centers[self.part.view[first] as usize]);
-        u.times(1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE))
+        let first = self.part.view[self.part.start[j] as usize] as usize;
+        unit::<D>(&self.estimate.points[j].minus(&self.estimate.centers[first]))
     }
 }
 
@@ -86,26 +105,52 @@ fn huber_cost(squared: f64, threshold: f64) -> f64 {
     }
 }
 
+/// How far a descent is driven.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    pub max_iterations: usize,
+    /// In units of sigma squared.
+    pub gain_tolerance: f64,
+}
+
+impl Effort {
+    /// To the minimum, as far as the noise lets it matter.
+    pub fn full(max_iterations: usize) -> Self {
+        Self { max_iterations, gain_tolerance: GAIN_TOLERANCE }
+    }
+
+    /// Is it the last?
+    pub fn is_full(&self) -> bool {
+        self.gain_tolerance <= GAIN_TOLERANCE
+    }
+
+    /// Near enough to judge observations: their squared errors are right to about a percent.
+    pub fn rough(max_iterations: usize, kept: usize) -> Self {
+        Self { max_iterations, gain_tolerance: 1e-3 * kept as f64 + 2.0 * GAIN_TOLERANCE }
+    }
+}
+
 /// How a descent ended.
 pub(super) struct Descent {
     pub iterations: usize,
     pub converged: bool,
 }
 
-/// Minimises over the kept observations, from `estimate` as it stands.
+/// Minimises over the kept observations, from `estimate` as it stands. `gain_tolerance` is in units of sigma squared.
 pub(super) fn descend<const D: usize>(
     part: &Part<D>,
     system: &mut ReducedSystem<D>,
     estimate: &mut Estimate,
     keep: &[bool],
     sigma: f64,
-    max_iterations: usize,
+    effort: Effort,
 ) -> Result<Descent, LeastSquaresError> {
     let huber = HUBER_SIGMAS * sigma;
     let kept = keep.iter().filter(|&&k| k).count();
-    let mut cost = total_cost(part, estimate, keep, huber);
+    let mut costs = point_costs(part, estimate, keep, huber);
+    let mut cost: f64 = sum_in_chunks(part, &costs);
     let (mut damping, mut growth) = (FIRST_DAMPING, 2.0);
-    for iteration in 0..max_iterations {
+    for iteration in 0..effort.max_iterations {
         if cost <= EXACT * kept as f64 {
             return Ok(Descent { iterations: iteration, converged: true });
         }
@@ -119,43 +164,45 @@ pub(super) fn descend<const D: usize>(
             }
             Err(error) => return Err(error),
         };
-        let (candidate, next) = take_step(part, &weights, &step, damping);
-        if next < cost {
-            *estimate = candidate;
-            let gain = (cost - next) / cost;
-            cost = next;
+        let (candidate, next_costs) = take_step(part, &weights, &costs, &step, damping);
+        let next: f64 = sum_in_chunks(part, &next_costs);
+        let gain = cost - next;
+        let negligible = (effort.gain_tolerance * sigma * sigma).max(RELATIVE_TOLERANCE * cost);
+        if gain > 0.0 {
+            (*estimate, costs, cost) = (candidate, next_costs, next);
             damping = (damping * 0.1).max(FIRST_DAMPING);
             growth = 2.0;
-            if gain < COST_TOLERANCE {
-                return Ok(Descent { iterations: iteration + 1, converged: true });
-            }
         } else {
-            // near the minimum of exact data the cost cannot fall any further
-            if (next - cost).abs() <= COST_TOLERANCE * cost || damping > 1e8 {
-                return Ok(Descent { iterations: iteration + 1, converged: true });
-            }
             damping = damping.max(1e-10) * growth;
             growth *= 2.0;
         }
+        // a step that neither gains nor loses is the end too: the cost cannot be computed any finer
+        if gain.abs() < negligible || damping > 1e8 {
+            return Ok(Descent { iterations: iteration + 1, converged: true });
+        }
     }
-    Ok(Descent { iterations: max_iterations, converged: false })
+    Ok(Descent { iterations: effort.max_iterations, converged: false })
 }
 
-/// Robust cost of the kept observations.
-fn total_cost<const D: usize>(part: &Part<D>, estimate: &Estimate, keep: &[bool], huber: f64) -> f64 {
-    let sums: Vec<f64> = part
-        .chunks
-        .par_iter()
-        .map(|tracks| {
-            tracks.clone().map(|j| point_cost(part, j, &estimate.centers, &estimate.points[j], keep, huber)).sum()
-        })
-        .collect();
-    sums.iter().sum()
+/// Robust cost of each point.
+fn point_costs<const D: usize>(part: &Part<D>, estimate: &Estimate, keep: &[bool], huber: f64) -> Vec<f64> {
+    let mut costs = vec![0.0; part.n_tracks()];
+    for_each_chunk(part, &mut costs, |tracks, out| {
+        for (j, cost) in tracks.zip(out) {
+            *cost = point_cost(part, j, &estimate.centers, &estimate.points[j], keep, huber);
+        }
+    });
+    costs
+}
+
+/// Sum of one number for each track, chunk by chunk.
+fn sum_in_chunks<const D: usize>(part: &Part<D>, values: &[f64]) -> f64 {
+    part.chunks.iter().map(|tracks| values[tracks.clone()].iter().sum::<f64>()).sum()
 }
 
 /// Robust cost of one point.
 #[inline(always)]
-fn point_cost<const D: usize>(
+pub(super) fn point_cost<const D: usize>(
     part: &Part<D>,
     j: usize,
     centers: &[Lanes],
@@ -174,30 +221,80 @@ fn point_cost<const D: usize>(
     cost
 }
 
-/// Applies a camera step, lets every point follow, and returns the new estimate with its cost.
+/// Applies a camera step, lets every point follow, and returns the new estimate with the cost of each point.
 fn take_step<const D: usize>(
     part: &Part<D>,
     weights: &NewtonWeights<'_, D>,
+    costs: &[f64],
     step: &[Lanes],
     damping: f64,
-) -> (Estimate, f64) {
+) -> (Estimate, Vec<f64>) {
     let centers: Vec<Lanes> = weights.estimate.centers.iter().zip(step).map(|(c, d)| c.plus(d)).collect();
-    let mut points = vec![Lanes::ZERO; part.n_tracks()];
-    let costs = for_each_chunk(part, &mut points, |tracks, out| {
+    let mut moved = vec![(Lanes::ZERO, 0.0); part.n_tracks()];
+    for_each_chunk(part, &mut moved, |tracks, out| {
         pulp::Arch::new().dispatch(
             #[inline(always)]
             || {
-                let mut cost = 0.0;
-                for (j, point) in tracks.zip(out) {
-                    let (moved, moved_cost) = move_point(part, j, weights, step, &centers, damping);
-                    *point = moved;
-                    cost += moved_cost;
+                for (j, moved) in tracks.zip(out) {
+                    *moved = move_point(part, j, weights, costs[j], step, &centers, damping);
                 }
-                cost
             },
-        )
+        );
     });
-    (Estimate { centers, points }, costs.iter().sum())
+    let (points, costs) = moved.into_iter().unzip();
+    (Estimate { centers, points }, costs)
+}
+
+/// Normal equations of one point: the factor, the gradient, and the share of information that lies in depth.
+struct PointModel<const D: usize> {
+    factor: PointFactor<D>,
+    gradient: Lanes,
+    axis: Lanes,
+    depth_share: f64,
+}
+
+/// Sums the models of a point's observations; `shift` moves each view's centre. `None` where nothing is kept.
+#[inline(always)]
+fn point_model<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    weights: &NewtonWeights<'_, D>,
+    point: &Lanes,
+    centers: &[Lanes],
+    step: Option<&[Lanes]>,
+    damping: f64,
+) -> Option<PointModel<D>> {
+    let mut outer = [Lanes::ZERO; D];
+    let mut gradient = Lanes::ZERO;
+    let mut weight_sum = 0.0;
+    for o in part.observations(j) {
+        let view = part.view[o] as usize;
+        let model = weights.model(o, point, &centers[view]);
+        let d = model.direction;
+        add_outer(&mut outer, &d);
+        weight_sum += d.0[3];
+        gradient = gradient.plus(&model.gradient);
+        if let Some(step) = step {
+            let shift = &step[view];
+            gradient = gradient.plus_scaled(d.0[3], &shift.plus_scaled(-d.dot::<D>(shift), &d));
+        }
+    }
+    if weight_sum.is_nan() || weight_sum <= 0.0 {
+        return None;
+    }
+    gradient.0[3] = 0.0;
+    let axis = unit::<D>(&point.minus(&centers[part.view[part.start[j] as usize] as usize]));
+    let mut along = Lanes::ZERO;
+    for (r, row) in outer.iter().enumerate() {
+        along = along.plus_scaled(axis.0[r], row);
+    }
+    let depth_share = (weight_sum - axis.dot::<D>(&along)) / (weight_sum * (D - 1) as f64);
+    Some(PointModel { factor: PointFactor::new(weight_sum, &outer, damping, &axis), gradient, axis, depth_share })
+}
+
+#[inline(always)]
+fn unit<const D: usize>(u: &Lanes) -> Lanes {
+    u.times(1.0 / u.dot::<D>(u).sqrt().max(f64::MIN_POSITIVE))
 }
 
 /// The new position of one point after a camera step, and its cost.
@@ -206,47 +303,36 @@ fn move_point<const D: usize>(
     part: &Part<D>,
     j: usize,
     weights: &NewtonWeights<'_, D>,
+    before: f64,
     step: &[Lanes],
     centers: &[Lanes],
     damping: f64,
 ) -> (Lanes, f64) {
     let old = weights.estimate.points[j];
-    let mut outer = [Lanes::ZERO; D];
-    let mut right = Lanes::ZERO;
-    let mut weight_sum = 0.0;
-    for o in part.observations(j) {
-        let Quadratic { direction: d, gradient } = weights.observe(o, j);
-        let shift = &step[part.view[o] as usize];
-        add_outer(&mut outer, &d);
-        weight_sum += d.0[3];
-        right = right.plus(&gradient).plus_scaled(d.0[3], &shift.plus_scaled(-d.dot::<D>(shift), &d));
-    }
-    if weight_sum.is_nan() || weight_sum <= 0.0 {
-        return (old, 0.0);
-    }
-    right.0[3] = 0.0;
-    let axis = weights.depth_axis(j);
-    let mut along = Lanes::ZERO;
-    for (r, row) in outer.iter().enumerate() {
-        along = along.plus_scaled(axis.0[r], row);
-    }
-    let depth_share = (weight_sum - axis.dot::<D>(&along)) / (weight_sum * (D - 1) as f64);
-    let delta = PointFactor::<D>::new(weight_sum, &outer, damping, &axis).solve(&right);
-    let mut moved = old.plus(&delta);
+    let old_centers = &weights.estimate.centers;
+    let Some(model) = point_model(part, j, weights, &old, old_centers, Some(step), damping) else { return (old, 0.0) };
+    let delta = model.factor.solve(&model.gradient);
     let first = part.view[part.start[j] as usize] as usize;
-    if depth_share < LOW_PARALLAX {
-        moved = inverse_depth_move::<D>(&old, &delta, &axis, &weights.estimate.centers[first], &step[first]);
-    }
+    let moved = follow(&model, &old, &delta, &old_centers[first], &step[first]);
     let cost = point_cost(part, j, centers, &moved, weights.keep, weights.huber);
-    let observations = part.observations(j).len() as f64;
-    let threshold = observations * weights.huber * weights.huber;
-    if cost > threshold || cost.is_nan() {
-        let before = point_cost(part, j, &weights.estimate.centers, &old, weights.keep, weights.huber);
-        if cost.is_nan() || cost > before + 0.5 * threshold {
-            return rescue(part, j, weights, step, centers, [old.plus(&delta), moved], cost);
-        }
+    let allowed = before + POINT_RISE * (weights.huber / HUBER_SIGMAS).powi(2);
+    if cost <= allowed { (moved, cost) } else { fit_again(part, j, weights, step, centers, [moved, old.plus(&delta)]) }
+}
+
+/// Where a step takes a point: in inverse depth where its parallax is low.
+#[inline(always)]
+fn follow<const D: usize>(
+    model: &PointModel<D>,
+    old: &Lanes,
+    delta: &Lanes,
+    center: &Lanes,
+    center_step: &Lanes,
+) -> Lanes {
+    if model.depth_share < LOW_PARALLAX {
+        inverse_depth_move::<D>(old, delta, &model.axis, center, center_step)
+    } else {
+        old.plus(delta)
     }
-    (moved, cost)
 }
 
 /// The Euclidean step read as a change of direction and of inverse depth, seen from the track's first view.
@@ -268,44 +354,77 @@ fn inverse_depth_move<const D: usize>(
     center.plus(center_step).plus_scaled(distance / (inverse_depth * length), &direction)
 }
 
-/// Where a point's cost jumped: the best of its step, the Euclidean step, a shift with its views, a new triangulation.
+/// Where a point's cost rose: the best of its moves, a shift with its views and a new triangulation, fitted to the moved
+/// cameras.
 #[cold]
-fn rescue<const D: usize>(
+fn fit_again<const D: usize>(
     part: &Part<D>,
     j: usize,
     weights: &NewtonWeights<'_, D>,
     step: &[Lanes],
     centers: &[Lanes],
-    [euclidean, moved]: [Lanes; 2],
-    cost: f64,
+    [moved, euclidean]: [Lanes; 2],
 ) -> (Lanes, f64) {
     let count = part.observations(j).len() as f64;
-    let mut shift = Lanes::ZERO;
+    let views = part.observations(j).map(|o| part.view[o] as usize);
+    let shift = views.fold(Lanes::ZERO, |sum, view| sum.plus_scaled(1.0 / count, &step[view]));
+    let mut best = (moved, f64::INFINITY);
+    let kept = part.observations(j).filter(|&o| weights.keep[o]);
+    let triangulated = intersect_rays(part, kept, centers, &moved);
+    for candidate in [moved, euclidean, weights.estimate.points[j].plus(&shift), triangulated] {
+        let cost = point_cost(part, j, centers, &candidate, weights.keep, weights.huber);
+        if cost < best.1 {
+            best = (candidate, cost);
+        }
+    }
+    fit_point(part, j, weights, centers, best)
+}
+
+/// Gauss-Newton on one point alone, from a position and its cost.
+pub(super) fn fit_point<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    weights: &NewtonWeights<'_, D>,
+    centers: &[Lanes],
+    (mut point, mut cost): (Lanes, f64),
+) -> (Lanes, f64) {
+    let center = &centers[part.view[part.start[j] as usize] as usize];
+    let mut damping = FIRST_DAMPING;
+    for _ in 0..POINT_ITERATIONS {
+        let Some(model) = point_model(part, j, weights, &point, centers, None, damping) else { break };
+        let delta = model.factor.solve(&model.gradient);
+        let moved = follow(&model, &point, &delta, center, &Lanes::ZERO);
+        let next = point_cost(part, j, centers, &moved, weights.keep, weights.huber);
+        if next < cost {
+            (point, cost) = (moved, next);
+        } else {
+            damping = damping.max(1e-3) * 10.0;
+        }
+    }
+    (point, cost)
+}
+
+/// The point nearest to some rays, each weighted by its distance to `near`.
+pub(super) fn intersect_rays<const D: usize>(
+    part: &Part<D>,
+    observations: impl Iterator<Item = usize>,
+    centers: &[Lanes],
+    near: &Lanes,
+) -> Lanes {
     let mut outer = [Lanes::ZERO; D];
     let mut right = Lanes::ZERO;
     let mut weight_sum = 0.0;
-    for o in part.observations(j) {
-        shift = shift.plus_scaled(1.0 / count, &step[part.view[o] as usize]);
-        if weights.keep[o] {
-            let center = &centers[part.view[o] as usize];
-            let (_, reciprocal) = squared_chord::<D>(&part.ray[o], &moved, center);
-            let mut d = part.ray[o];
-            d.0[3] *= reciprocal * reciprocal;
-            add_outer(&mut outer, &d);
-            weight_sum += d.0[3];
-            right = right.plus_scaled(d.0[3], &center.plus_scaled(-d.dot::<D>(center), &d));
-        }
+    for o in observations {
+        let center = &centers[part.view[o] as usize];
+        let mut d = part.ray[o];
+        let u = near.minus(center);
+        d.0[3] /= u.dot::<D>(&u).max(f64::MIN_POSITIVE);
+        add_outer(&mut outer, &d);
+        weight_sum += d.0[3];
+        right = right.plus_scaled(d.0[3], &center.plus_scaled(-d.dot::<D>(center), &d));
     }
     right.0[3] = 0.0;
-    let factor = PointFactor::<D>::new(weight_sum.max(f64::MIN_POSITIVE), &outer, 0.0, &Lanes::ZERO);
-    let mut best = (moved, if cost.is_nan() { f64::INFINITY } else { cost });
-    for candidate in [euclidean, weights.estimate.points[j].plus(&shift), factor.solve(&right)] {
-        let candidate_cost = point_cost(part, j, centers, &candidate, weights.keep, weights.huber);
-        if candidate_cost < best.1 {
-            best = (candidate, candidate_cost);
-        }
-    }
-    best
+    PointFactor::<D>::new(weight_sum.max(f64::MIN_POSITIVE), &outer, 0.0, &Lanes::ZERO).solve(&right)
 }
 
 /// Chord of every observation in units of the reference sigma's radian.
@@ -328,11 +447,25 @@ pub(super) fn chords<const D: usize>(part: &Part<D>, estimate: &Estimate) -> Vec
     track_chords.concat()
 }
 
-/// Noise estimate from the median chord of the observations for which `among` holds.
-pub(super) fn noise_scale<const D: usize>(chords: &[f64], among: impl Fn(usize) -> bool) -> f64 {
-    let step = (chords.len() / 200_000).max(1);
-    let mut sample: Vec<f64> = (0..chords.len()).step_by(step).filter(|&o| among(o)).map(|o| chords[o]).collect();
-    (median(&mut sample) / median_over_sigma(D)).max(SIGMA_FLOOR_RAD)
+/// Noise estimate from the median chord of the observations for which `among` holds, corrected for the unknowns that were
+/// fitted to them: residuals of a track of three views are far smaller than its noise.
+pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among: impl Fn(usize) -> bool) -> f64 {
+    let (mut sample, mut kept, mut points) = (Vec::new(), 0usize, 0usize);
+    let stride = (chords.len() / 200_000).max(1);
+    for j in 0..part.n_tracks() {
+        let before = kept;
+        for o in part.observations(j).filter(|&o| among(o)) {
+            kept += 1;
+            if o % stride == 0 {
+                sample.push(chords[o]);
+            }
+        }
+        points += usize::from(kept > before);
+    }
+    let equations = ((D - 1) * kept) as f64;
+    let unknowns = (D * (points + part.n_views)) as f64 - (D + 1) as f64;
+    let freedom = ((equations - unknowns) / equations).clamp(LEAST_FREEDOM, 1.0);
+    (median(&mut sample) / (median_over_sigma(D) * freedom.sqrt())).max(SIGMA_FLOOR_RAD)
 }
 
 /// Observations within [`OUTLIER_SIGMAS`] of their prediction, of points that keep at least two views.
@@ -340,11 +473,10 @@ pub(super) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], sigma: f64
     let limit = OUTLIER_SIGMAS * sigma;
     let mut keep: Vec<bool> = chords.iter().map(|&e| e < limit).collect();
     for j in 0..part.n_tracks() {
-        let observations = part.observations(j);
-        let mut kept = observations.clone().filter(|&o| keep[o]).map(|o| part.view[o]);
-        let first = kept.next();
-        if kept.all(|view| Some(view) == first) {
-            keep[observations].fill(false);
+        let mut views = part.observations(j).filter(|&o| keep[o]).map(|o| part.view[o]);
+        let first = views.next();
+        if !views.any(|view| Some(view) != first) {
+            keep[part.observations(j)].fill(false);
         }
     }
     keep

@@ -20,6 +20,7 @@ mod linear;
 mod options;
 mod part;
 mod parts;
+mod points;
 mod reduced;
 mod robust;
 mod start;

@@ -2,20 +2,16 @@
 
 use std::time::Instant;
 
-use super::descent::{chords, descend, inliers, noise_scale};
+use super::descent::{Effort, chords, descend, inliers, noise_scale};
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
 use super::part::{Lanes, Part};
+use super::points::{reconsider, without_parallax};
 use super::reduced::{LinearSolver, ReducedSystem};
 use super::start::{Estimate, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::LeastSquaresError;
-
-/// Rounds of descent and mask; a further one changes nothing that counts.
-const MAX_ROUNDS: usize = 2;
-/// A round whose noise estimate changes by less than this is the last.
-const SIGMA_TOLERANCE: f64 = 0.05;
 
 /// Solution of one part, in its own gauge.
 pub(super) struct PartSolution {
@@ -54,30 +50,30 @@ pub(super) fn solve_part<const D: usize>(
     timings.start_s += clock.elapsed().as_secs_f64();
 
     let clock = Instant::now();
-    let mut errors = chords(part, &estimate);
-    let mut sigma = noise_scale::<D>(&errors, |_| true);
+    let errors = chords(part, &estimate);
+    let mut sigma = noise_scale(part, &errors, |_| true);
     let mut inlier = inliers(part, &errors, sigma);
-    let mut converged = false;
-    for _ in 0..MAX_ROUNDS {
-        let descent = descend(part, &mut system, &mut estimate, &inlier, sigma, max_iterations)?;
+    let mut effort = Effort::rough(max_iterations, part.n_observations());
+    let converged = loop {
+        let parallel = without_parallax(part, &inlier, sigma);
+        let active = without_tracks(part, &inlier, &parallel);
+        let descent = descend(part, &mut system, &mut estimate, &active, sigma, effort)?;
         iterations += descent.iterations;
-        converged = descent.converged;
-        errors = chords(part, &estimate);
-        let next = noise_scale::<D>(&errors, |o| inlier[o]);
-        inlier = inliers(part, &errors, next);
-        let settled = (next / sigma - 1.0).abs() < SIGMA_TOLERANCE;
-        sigma = next;
-        if settled {
-            break;
+        sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
+        inlier = reconsider(part, &mut estimate, &parallel, sigma);
+        if effort.is_full() {
+            break descent.converged;
         }
-    }
+        effort = Effort::full(max_iterations);
+    };
+    let chord = chords(part, &estimate);
     let status = match (converged, weakest_mode_is_loose(part, &mut system, &estimate, sigma)?) {
         (_, true) => Status::Ambiguous,
         (true, false) => Status::Converged,
         (false, false) => Status::MaxIterations,
     };
     timings.descent_s += clock.elapsed().as_secs_f64();
-    Ok(PartSolution { estimate, inlier, chord: errors, sigma, iterations, status })
+    Ok(PartSolution { estimate, inlier, chord, sigma, iterations, status })
 }
 
 /// Solves one part by the paper's least squares and judges the observations afterwards.
@@ -95,7 +91,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     };
     scale_to_unit(&mut estimate);
     let chord = chords(part, &estimate);
-    let sigma = noise_scale::<D>(&chord, |_| true);
+    let sigma = noise_scale(part, &chord, |_| true);
     let inlier = inliers(part, &chord, sigma);
     if status == Status::Converged {
         let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
@@ -107,6 +103,15 @@ pub(super) fn solve_part_linearly<const D: usize>(
     }
     timings.start_s += clock.elapsed().as_secs_f64();
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations: 1, status })
+}
+
+/// The kept observations less those of some tracks.
+fn without_tracks<const D: usize>(part: &Part<D>, keep: &[bool], left_out: &[bool]) -> Vec<bool> {
+    let mut active = keep.to_vec();
+    for (j, _) in left_out.iter().enumerate().filter(|(_, out)| **out) {
+        active[part.observations(j)].fill(false);
+    }
+    active
 }
 
 /// Brings a given start to the scale at which the solver works.

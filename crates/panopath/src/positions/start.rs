@@ -256,10 +256,12 @@ pub(super) fn robust_start<const D: usize>(
     Ok((estimate, MAX_ROUNDS + 1))
 }
 
-/// Moves points that lie behind most of their views, or farther than `FAR` times the baseline of their track, to that
-/// distance along the mean ray.
+/// Distance, in baselines of the track, beyond which depth means nothing.
+pub(super) const FAR: f64 = 300.0;
+
+/// Moves points that lie behind most of their views, or farther than [`FAR`] baselines of their track, to that distance
+/// along the mean ray.
 pub(super) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut Estimate) {
-    const FAR: f64 = 300.0;
     let Estimate { centers, points } = estimate;
     for_each_chunk(part, points, |tracks, out| {
         for (j, point) in tracks.zip(out) {

@@ -1,0 +1,184 @@
+//! Points one by one, cameras held: which of them tell nothing, and what a second look finds in those that lost rays.
+
+use rayon::prelude::*;
+
+use super::descent::{NewtonWeights, OUTLIER_SIGMAS, fit_point, intersect_rays, point_cost};
+use super::part::{Lanes, Part};
+use super::start::{Estimate, FAR, for_each_chunk, squared_chord};
+
+/// A track shows no parallax where its rays scatter about their mean by less than noise would but for this many standard
+/// deviations.
+const SCATTER_DEVIATIONS: f64 = 2.0;
+/// A view keeps its tracks without parallax while it has fewer than this many others.
+const ENOUGH_OBSERVATIONS: u32 = 24;
+/// Pairs of rays tried for a track that lost most of its rays.
+const MAX_HYPOTHESES: usize = 12;
+
+/// Tracks whose rays are parallel within the noise. They hold no camera in place, and their depth wanders: the descent
+/// leaves them out wherever all their views see enough else.
+pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], sigma: f64) -> Vec<bool> {
+    let mut parallel = vec![false; part.n_tracks()];
+    for_each_chunk(part, &mut parallel, |tracks, out| {
+        for (j, parallel) in tracks.zip(out) {
+            let (_, scatter, count) = mean_direction(part, j, |o| keep[o]);
+            let freedom = (D - 1) as f64 * (count - 1.0);
+            let limit = freedom + SCATTER_DEVIATIONS * (2.0 * freedom).sqrt();
+            *parallel = count >= 2.0 && scatter < limit * sigma * sigma;
+        }
+    });
+    let mut others = vec![0u32; part.n_views];
+    for (j, _) in parallel.iter().enumerate().filter(|(_, p)| !**p) {
+        for o in part.observations(j).filter(|&o| keep[o]) {
+            others[part.view[o] as usize] += 1;
+        }
+    }
+    for (j, parallel) in parallel.iter_mut().enumerate() {
+        *parallel &= part.observations(j).all(|o| others[part.view[o] as usize] >= ENOUGH_OBSERVATIONS);
+    }
+    parallel
+}
+
+/// Mean direction of the rays for which `keep` holds, the squared scatter about it weighted by precision, their number.
+fn mean_direction<const D: usize>(part: &Part<D>, j: usize, keep: impl Fn(usize) -> bool) -> (Lanes, f64, f64) {
+    let (mut sum, mut count) = (Lanes::ZERO, 0.0);
+    for o in part.observations(j).filter(|&o| keep(o)) {
+        sum = sum.plus_scaled(part.ray[o].0[3], &part.ray[o]);
+        count += 1.0;
+    }
+    let mean = sum.times(1.0 / sum.dot::<D>(&sum).sqrt().max(f64::MIN_POSITIVE));
+    let scatter = part.observations(j).filter(|&o| keep(o)).map(|o| {
+        let error = part.ray[o].minus(&mean);
+        error.dot::<D>(&error) * part.ray[o].0[3]
+    });
+    let scatter = scatter.sum();
+    (mean, scatter, count)
+}
+
+/// Looks again at every point with the cameras as they are, and says which observations agree with it.
+///
+/// A track without parallax is put far away along its mean ray and fitted; a track that lost most of its rays is
+/// intersected anew from pairs of them; the others are judged where they are.
+pub(super) fn reconsider<const D: usize>(
+    part: &Part<D>,
+    estimate: &mut Estimate,
+    parallel: &[bool],
+    sigma: f64,
+) -> Vec<bool> {
+    let limit = (OUTLIER_SIGMAS * sigma).powi(2);
+    let Estimate { centers, points } = estimate;
+    let mut refit = vec![false; part.n_tracks()];
+    let mut judged: Vec<(Lanes, bool)> = points.iter().map(|p| (*p, false)).collect();
+    for_each_chunk(part, &mut judged, |tracks, out| {
+        for (j, (point, refit)) in tracks.zip(out) {
+            let agreeing = agree(part, j, centers, point, limit);
+            let count = part.observations(j).len();
+            if parallel[j] {
+                (*point, *refit) = (far_away(part, j, centers, point, limit), true);
+            } else if count > 2 && agreeing < count && (agreeing < 3 || 2 * agreeing < count) {
+                if let Some(better) = best_hypothesis(part, j, centers, point, limit) {
+                    (*point, *refit) = (better, true);
+                }
+            }
+        }
+    });
+    for (j, (point, changed)) in judged.into_iter().enumerate() {
+        (points[j], refit[j]) = (point, changed);
+    }
+    let keep = agreement(part, estimate, limit);
+    let weights = NewtonWeights::new(part, estimate, &keep, sigma);
+    let mut fitted = estimate.points.clone();
+    for_each_chunk(part, &mut fitted, |tracks, out| {
+        for (j, point) in tracks.zip(out).filter(|(j, _)| refit[*j]) {
+            let cost = point_cost(part, j, &estimate.centers, point, &keep, weights.huber());
+            *point = fit_point(part, j, &weights, &estimate.centers, (*point, cost)).0;
+        }
+    });
+    estimate.points = fitted;
+    keep
+}
+
+/// For every observation: does it agree with its point, and does its point keep two views?
+fn agreement<const D: usize>(part: &Part<D>, estimate: &Estimate, limit: f64) -> Vec<bool> {
+    let flags: Vec<Vec<bool>> = part
+        .chunks
+        .par_iter()
+        .map(|tracks| {
+            let mut out = Vec::new();
+            for j in tracks.clone() {
+                let first = out.len();
+                let mut views = (u32::MAX, false);
+                for o in part.observations(j) {
+                    let kept = squared_error(part, o, &estimate.centers, &estimate.points[j]) < limit;
+                    if kept {
+                        views.1 |= views.0 != u32::MAX && views.0 != part.view[o];
+                        views.0 = part.view[o];
+                    }
+                    out.push(kept);
+                }
+                if !views.1 {
+                    out[first..].fill(false);
+                }
+            }
+            out
+        })
+        .collect();
+    flags.concat()
+}
+
+#[inline(always)]
+fn squared_error<const D: usize>(part: &Part<D>, o: usize, centers: &[Lanes], point: &Lanes) -> f64 {
+    let ray = &part.ray[o];
+    squared_chord::<D>(ray, point, &centers[part.view[o] as usize]).0 * ray.0[3]
+}
+
+fn agree<const D: usize>(part: &Part<D>, j: usize, centers: &[Lanes], point: &Lanes, limit: f64) -> usize {
+    part.observations(j).filter(|&o| squared_error(part, o, centers, point) < limit).count()
+}
+
+/// Sum of squared errors, each at most the limit.
+fn truncated_cost<const D: usize>(part: &Part<D>, j: usize, centers: &[Lanes], point: &Lanes, limit: f64) -> f64 {
+    part.observations(j).map(|o| squared_error(part, o, centers, point).min(limit)).sum()
+}
+
+/// Along the mean of the rays that agree with each other, at the distance beyond which depth means nothing; the present
+/// position where that is better.
+fn far_away<const D: usize>(part: &Part<D>, j: usize, centers: &[Lanes], point: &Lanes, limit: f64) -> Lanes {
+    let (mean, _, _) = mean_direction(part, j, |o| squared_error(part, o, centers, point) < limit);
+    let first = &centers[part.view[part.start[j] as usize] as usize];
+    let baseline = part.observations(j).map(|o| {
+        let u = centers[part.view[o] as usize].minus(first);
+        u.dot::<D>(&u).sqrt()
+    });
+    let mut far = first.plus_scaled(FAR * baseline.fold(f64::MIN_POSITIVE, f64::max), &mean);
+    far.0[3] = 0.0;
+    let better = truncated_cost(part, j, centers, &far, limit) < truncated_cost(part, j, centers, point, limit);
+    if better { far } else { *point }
+}
+
+/// The intersection of two rays with which the others agree best; `None` where none is better than the present position.
+fn best_hypothesis<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    centers: &[Lanes],
+    point: &Lanes,
+    limit: f64,
+) -> Option<Lanes> {
+    let observations = part.observations(j);
+    let count = observations.len();
+    let pairs = (1..count).flat_map(|gap| (0..count - gap).map(move |i| (i, i + gap)));
+    // wide pairs first: they fix the depth best
+    let pairs: Vec<(usize, usize)> = pairs.collect();
+    let mut best = (truncated_cost(part, j, centers, point, limit), None);
+    for (i, k) in pairs.into_iter().rev().take(MAX_HYPOTHESES) {
+        let pair = [observations.start + i, observations.start + k];
+        if part.view[pair[0]] == part.view[pair[1]] {
+            continue;
+        }
+        let candidate = intersect_rays::<D>(part, pair.into_iter(), centers, point);
+        let cost = truncated_cost(part, j, centers, &candidate, limit);
+        if cost < best.0 {
+            best = (cost, Some(candidate));
+        }
+    }
+    best.1
+}
