@@ -88,7 +88,9 @@ def _parts(scene: Scene, true_centers: Float) -> list[_Part]:
     axes = _axes(scene)
     parts = []
     for index in np.argsort(-sizes, kind="stable")[:_MOST_PARTS].tolist():
-        views = _in_time_order(scene, np.flatnonzero(scene.view_component == index))
+        views = _in_time_order(
+            scene, np.flatnonzero((scene.view_component == index) & np.isfinite(scene.centers).all(axis=1))
+        )
         points = np.flatnonzero((scene.track_component == index) & np.isfinite(scene.points).all(axis=1))
         parts.append(
             _Part(
