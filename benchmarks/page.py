@@ -184,9 +184,7 @@ def _robustness_row(case: Case, result: Result) -> Sequence[str]:
     verdict = "all solved: " + ("met" if solved == len(seeds) else "**missed**")
     if case.max_over_optimum is not None:
         text = f"<= {case.max_over_optimum:g} x optimum on every scene"
-        verdict += "; " + _verdict(
-            text, worst, case.max_over_optimum
-        )
+        verdict += "; " + _verdict(text, worst, case.max_over_optimum)
     return (
         result["title"],
         f"{solved} of {len(seeds)}",
