@@ -37,6 +37,8 @@ pub(super) const SIGMA_FLOOR_RAD: f64 = 1e-9;
 
 /// Observations farther than this many sigma from their prediction are outliers.
 pub(super) const OUTLIER_SIGMAS: f64 = 5.0;
+/// The same before the first descent: the cameras still err by more than the noise, most of all as seen from near points.
+pub(super) const FIRST_OUTLIER_SIGMAS: f64 = 20.0;
 /// Share of degrees of freedom below which the noise estimate is not corrected any further.
 const LEAST_FREEDOM: f64 = 0.05;
 /// Huber's threshold in sigma.
@@ -468,9 +470,8 @@ pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among:
     (median(&mut sample) / (median_over_sigma(D) * freedom.sqrt())).max(SIGMA_FLOOR_RAD)
 }
 
-/// Observations within [`OUTLIER_SIGMAS`] of their prediction, of points that keep at least two views.
-pub(super) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], sigma: f64) -> Vec<bool> {
-    let limit = OUTLIER_SIGMAS * sigma;
+/// Observations within a limit of their prediction, of points that keep at least two views.
+pub(super) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], limit: f64) -> Vec<bool> {
     let mut keep: Vec<bool> = chords.iter().map(|&e| e < limit).collect();
     for j in 0..part.n_tracks() {
         let mut views = part.observations(j).filter(|&o| keep[o]).map(|o| part.view[o]);

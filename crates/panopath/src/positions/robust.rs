@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::descent::{Effort, chords, descend, inliers, noise_scale};
+use super::descent::{Effort, FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale};
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
@@ -12,6 +12,9 @@ use super::reduced::{LinearSolver, ReducedSystem};
 use super::start::{Estimate, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::LeastSquaresError;
+
+/// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
+const MEANINGLESS_RAD: f64 = 0.2;
 
 /// Solution of one part, in its own gauge.
 pub(super) struct PartSolution {
@@ -52,22 +55,25 @@ pub(super) fn solve_part<const D: usize>(
     let clock = Instant::now();
     let errors = chords(part, &estimate);
     let mut sigma = noise_scale(part, &errors, |_| true);
-    let mut inlier = inliers(part, &errors, sigma);
+    let mut inlier = inliers(part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
     let mut effort = Effort::rough(max_iterations, part.n_observations());
-    let converged = loop {
+    let (converged, nothing_near) = loop {
         let parallel = without_parallax(part, &inlier, sigma);
-        let active = without_tracks(part, &inlier, &parallel);
+        let active = without_tracks(part, &inlier, &parallel.left_out);
         let descent = descend(part, &mut system, &mut estimate, &active, sigma, effort)?;
         iterations += descent.iterations;
         sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
-        inlier = reconsider(part, &mut estimate, &parallel, sigma);
+        inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
         if effort.is_full() {
-            break descent.converged;
+            assemble_information(part, &mut system, &estimate, &active, sigma);
+            system.factorise()?;
+            break (descent.converged, parallel.everything);
         }
         effort = Effort::full(max_iterations);
     };
     let chord = chords(part, &estimate);
-    let status = match (converged, weakest_mode_is_loose(part, &mut system, &estimate, sigma)?) {
+    let loose = nothing_near || sigma > MEANINGLESS_RAD || weakest_mode_is_loose(part, &mut system, &estimate, sigma)?;
+    let status = match (converged, loose) {
         (_, true) => Status::Ambiguous,
         (true, false) => Status::Converged,
         (false, false) => Status::MaxIterations,
@@ -92,7 +98,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     scale_to_unit(&mut estimate);
     let chord = chords(part, &estimate);
     let sigma = noise_scale(part, &chord, |_| true);
-    let inlier = inliers(part, &chord, sigma);
+    let inlier = inliers(part, &chord, OUTLIER_SIGMAS * sigma);
     if status == Status::Converged {
         let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
         assemble_information(part, &mut system, &estimate, &inlier, sigma);
