@@ -91,17 +91,18 @@ def _promise_row(case: Case, result: Result) -> Sequence[str]:
     speedup = peer / seconds if peer and seconds else None
     over_bound, over_optimum = _pooled(result["seeds"], "bound"), _worst(result["seeds"], "optimum")
     memory = max((run["memory_mb"] for run in result["ours"] if "memory_mb" in run), default=None)
+    promises = (
+        (">= {:g}x faster", speedup, case.min_speedup),
+        ("<= {:g} s", seconds, case.max_seconds),
+        ("<= {:g} MB", memory, case.max_memory_mb),
+        ("<= {:g} x bound", over_bound, case.max_over_bound),
+        ("<= {:g} x optimum", over_optimum, case.max_over_optimum),
+    )
     verdicts = [
-        _verdict(f">= {case.min_speedup:g}x faster", speedup, case.min_speedup, at_least=True),
-        _verdict(f"<= {case.max_seconds:g} s", seconds, case.max_seconds) if case.max_seconds else "",
-        _verdict(f"<= {case.max_memory_mb:g} MB", memory, case.max_memory_mb) if case.max_memory_mb else "",
-        _verdict(f"<= {case.max_over_bound:g} x bound", over_bound, case.max_over_bound) if case.max_over_bound else "",
-        _verdict(f"<= {case.max_over_optimum:g} x optimum", over_optimum, case.max_over_optimum)
-        if case.max_over_optimum
-        else "",
+        _verdict(text.format(limit), value, limit, at_least=text.startswith(">="))
+        for text, value, limit in promises
+        if limit is not None
     ]
-    if not case.min_speedup:
-        verdicts[0] = ""
     n_observations = next((run["n_observations"] for run in result["ours"] if "n_observations" in run), None)
     return (
         result["title"],
@@ -113,12 +114,12 @@ def _promise_row(case: Case, result: Result) -> Sequence[str]:
         number(over_bound, "{:.2f}"),
         number(over_optimum, "{:.2f}"),
         number(memory, "{:.0f} MB"),
-        "; ".join(verdict for verdict in verdicts if verdict) or "-",
+        "; ".join(verdicts) or "-",
     )
 
 
-def _verdict(text: str, value: float | None, limit: float | None, *, at_least: bool = False) -> str:
-    if value is None or limit is None:
+def _verdict(text: str, value: float | None, limit: float, *, at_least: bool = False) -> str:
+    if value is None:
         return f"{text}: not measured"
     return f"{text}: {'met' if (value >= limit if at_least else value <= limit) else '**missed**'}"
 
