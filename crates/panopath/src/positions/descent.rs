@@ -57,6 +57,16 @@ impl<'a, const D: usize> NewtonWeights<'a, D> {
         Self { part, estimate, keep, huber: HUBER_SIGMAS * sigma }
     }
 
+    /// The estimate at which the weights are taken.
+    pub fn estimate(&self) -> &'a Estimate {
+        self.estimate
+    }
+
+    /// Which observations count.
+    pub fn keep(&self) -> &'a [bool] {
+        self.keep
+    }
+
     /// Huber's threshold, in radians at the reference sigma.
     pub fn huber(&self) -> f64 {
         self.huber
@@ -292,6 +302,19 @@ fn point_model<const D: usize>(
     }
     let depth_share = (weight_sum - axis.dot::<D>(&along)) / (weight_sum * (D - 1) as f64);
     Some(PointModel { factor: PointFactor::new(weight_sum, &outer, damping, &axis), gradient, axis, depth_share })
+}
+
+/// How a point follows small displacements of the centres; `None` where nothing of it is kept.
+pub(super) fn point_displacement<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    weights: &NewtonWeights<'_, D>,
+    displacement: &[Lanes],
+) -> Option<Lanes> {
+    let Estimate { centers, points } = weights.estimate;
+    let still = point_model(part, j, weights, &points[j], centers, None, FIRST_DAMPING)?;
+    let moved = point_model(part, j, weights, &points[j], centers, Some(displacement), FIRST_DAMPING)?;
+    Some(still.factor.solve(&moved.gradient.minus(&still.gradient)))
 }
 
 #[inline(always)]
