@@ -30,7 +30,7 @@ def _save(figure: Any, path: Path) -> None:
 
 def planar(path: Path, title: str, data: PlanarSet, found: Positions) -> None:
     """Stations and landmarks, true and found, one panel a method."""
-    figure, axes = _figure(max(len(found), 1), 4.6 * max(len(found), 1), 4.8)
+    figure, axes = _figure(max(len(found), 1), 4.4 * max(len(found), 1), 5.4)
     for axis, (method, (stations, landmarks)) in zip(axes, found.items(), strict=False):
         axis.plot(*data.stations.T, ".", color="0.75", markersize=4, label="stations, true")
         axis.plot(*data.landmarks.T, "k^", markersize=7, label="landmarks, true")
@@ -38,7 +38,7 @@ def planar(path: Path, title: str, data: PlanarSet, found: Positions) -> None:
         axis.plot(*stations.T, MARKERS[method], color=colour, markersize=4, label="stations, found")
         axis.plot(*landmarks.T, "^", color=colour, markerfacecolor="none", markersize=9, label="landmarks, found")
         _frame(axis, np.vstack([data.stations, data.landmarks]), f"{title}: {method}")
-    axes[0].legend(fontsize=7)
+        axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
     _save(figure, path)
 
 

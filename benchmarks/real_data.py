@@ -347,7 +347,7 @@ def ladybug(folder: Path, images: Path) -> str:
                 """
             ),
             table(HEADER, rows),
-            _picture("ladybug.png", "Ladybug 49 from above and from the side"),
+            _picture("ladybug.png", "Ladybug 49 along the principal axes of its path"),
         ]
     )
 
@@ -377,7 +377,7 @@ def lund_door(folder: Path, images: Path) -> str:
                 """
             ),
             table(HEADER, rows),
-            _picture("lund_door.png", "Lund door from above and from the side"),
+            _picture("lund_door.png", "Lund door along the principal axes of its path"),
         ]
     )
 
