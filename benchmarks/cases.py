@@ -34,6 +34,10 @@ class Case:
     max_over_bound: float | None = None
     max_over_optimum: float | None = None
 
+    def promises(self) -> dict[str, float | None]:
+        """Gather the limits that the measured figures are held to."""
+        return {name: value for name, value in self.__dict__.items() if name.startswith(("min_", "max_"))}
+
     def scaled(self, factor: float) -> Case:
         """Shrink: ``factor`` times the views and points, at most 2 seeds, once, promising nothing."""
         options = dict(self.options)

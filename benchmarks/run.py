@@ -46,6 +46,7 @@ def run_case(case: Case, time_limit_s: float) -> Result:
         "title": case.title,
         "world": case.world,
         "options": case.options,
+        "promises": case.promises(),
         "date": started,
         "machine": machine(),
         "versions": versions(),
