@@ -311,9 +311,10 @@ def _fit(source: Float, target: Float, alignment: str) -> tuple[float, Float, Fl
 
 
 def _rotation_angle(rotation: Float) -> float:
-    """Angle of a rotation, accurate from 0 to pi: the chord |R - 1| is 2 sqrt(2) sin(angle / 2)."""
-    chord = float(np.linalg.norm(rotation - np.eye(len(rotation))))
-    return float(2.0 * np.arcsin(min(1.0, chord / (2.0 * np.sqrt(2.0)))))
+    """Angle of a rotation, accurate from 0 to pi: its skew part holds the sine, its trace the cosine."""
+    sine = float(np.linalg.norm(rotation - rotation.T)) / (2.0 * np.sqrt(2.0))
+    cosine = 0.5 * (float(np.trace(rotation)) - (len(rotation) - 2))
+    return float(np.arctan2(sine, cosine))
 
 
 def _nearest_distance(points: Float, centers: Float) -> Float:

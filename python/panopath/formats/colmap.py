@@ -275,6 +275,8 @@ def _parse(read: Any, path: Path) -> Any:
         result = read(cursor)
         if cursor.at != len(cursor.data):
             raise ValueError
+    except MissingExtraError:
+        raise
     except (struct.error, ValueError, OverflowError):
         raise InputError(f"{path}: is not a COLMAP file or is cut short (at byte {cursor.at})") from None
     return result
@@ -340,7 +342,6 @@ class _Features:
     #: (N,) whether the observation belongs to its point.
     used: Bool
     width: int
-    height: int
 
 
 def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0, width: int = 4096) -> None:
@@ -366,7 +367,7 @@ def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0,
     pixels = equirectangular_pixels(tracks.bearing, width, height)
     place = np.zeros(len(tracks), dtype=np.int64)
     place[order] = np.arange(len(order)) - starts[tracks.view[order]]
-    features = _Features(order, starts, place, pixels, used, width, height)
+    features = _Features(order, starts, place, pixels, used, width)
     folder.mkdir(parents=True, exist_ok=True)
     camera = struct.pack("<QIiQQ2d", 1, 1, _EQUIRECTANGULAR_ID, width, height, float(width), float(height))
     (folder / "cameras.bin").write_bytes(camera)
@@ -398,19 +399,14 @@ def _points_bytes(scene: Scene, tracks: Tracks, features: _Features) -> bytes:
     track = tracks.track[rows]
     ids, begins = np.unique(track, return_index=True)
     ends = np.append(begins[1:], len(rows))
-    ray = np.einsum(
-        "nij,nj->ni", scene.cam_from_world[tracks.view[rows]], scene.points[track] - scene.centers[tracks.view[rows]]
-    )
-    off = equirectangular_pixels(ray, features.width, features.height) - features.pixels[rows]
-    # left and right edge are one meridian: the short way round counts
-    off[:, 0] -= features.width * np.round(off[:, 0] / features.width)
-    error = np.hypot(off[:, 0], off[:, 1])
+    # COLMAP's error on a spherical camera: the angle, in pixels at the equator
+    error_px = scene.residual_rad[rows] * (features.width / (2.0 * np.pi))
     elements = np.stack((tracks.view[rows] + 1, features.place[rows]), axis=1).astype("<u4")
     chunks = [struct.pack("<Q", len(ids))]
     grey = (200, 200, 200)
     for point, begin, end in zip(ids.tolist(), begins.tolist(), ends.tolist(), strict=True):
         position = scene.points[point]
-        mean_error = float(error[begin:end].mean())
+        mean_error = float(error_px[begin:end].mean())
         chunks.append(struct.pack("<Q3d3BdQ", point + 1, *position, *grey, mean_error, end - begin))
         chunks.append(elements[begin:end].tobytes())
     return b"".join(chunks)

@@ -75,9 +75,11 @@ def clean_header(fields: Sequence[str], source: str) -> list[str]:
     Raises
     ------
     InputError
-        Where a name stands twice.
+        Where a name stands twice, or is a number.
     """
     names = [field.strip().lower() for field in fields]
+    if any(_is_number(name) for name in names):
+        raise InputError(f"{source}: line 1: found {','.join(names)[:60]!r}, the header line is missing")
     for name in names:
         if name and names.count(name) > 1:
             raise InputError(f"{source}: the column {name} stands in the header twice")
@@ -94,8 +96,7 @@ def plan_columns(names: Sequence[str], source: str) -> Plan:
     """
     for name in ("view", "track"):
         if name not in names:
-            hint = ", or the header line is missing" if any(_is_number(n) for n in names) else ""
-            raise InputError(f"{source}: the header has no column {name}{hint} (columns: {','.join(names)})")
+            raise InputError(f"{source}: the header has no column {name} (columns: {','.join(names)})")
     for name in names:
         near = difflib.get_close_matches(name, _KNOWN, n=1, cutoff=0.85)
         if name not in _KNOWN and near:
@@ -153,12 +154,14 @@ def _own_names(names: list[str]) -> list[str] | None:
 def _directions(columns: tuple[str, ...], values: list[Float], place: Place) -> Float:
     if columns[0] == "x":
         vectors = np.stack(values, axis=1)
-        length = np.linalg.norm(vectors, axis=1)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(vectors, axis=1)
         wrong = ~((length > 0.0) & np.isfinite(length))
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
-                f"{place.source}: {place.where(row)}, columns {','.join(columns)}: no direction, the length is zero"
+                f"{place.source}: {place.where(row)}, columns {','.join(columns)}: no direction, its length is "
+                f"{length[row]:g}"
             )
         # a vector that is of unit length but for rounding stays as it is: files then come back bit for bit
         length[np.abs(length - 1.0) < 4.5e-16] = 1.0

@@ -6,9 +6,9 @@ A header is required; its columns say what is meant (``panopath.formats.columns`
 from __future__ import annotations
 
 import csv
-import io
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -24,6 +24,8 @@ from panopath.model import Control, Float, InputError, Tracks
 Form = Literal["xyz", "degrees", "radians", "compass"]
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
+#: What a cell may hold only in quotes.
+_SPECIAL = re.compile(r'[",\r\n]')
 _HEADINGS = ("heading_deg", "compass_deg")
 _FORM_COLUMNS: dict[str, tuple[str, ...]] = {
     "xyz": ("x", "y", "z"),
@@ -216,6 +218,8 @@ def _turned_about_z(heading_rad: Float) -> Float:
 def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
     """Read known positions: the columns ``view`` or ``track`` or both (one of them empty in each row), and ``x,y[,z]``.
 
+    A row whose coordinates are all empty says nothing: ``cameras.csv`` and ``points.csv`` can be read.
+
     Raises
     ------
     InputError
@@ -228,7 +232,7 @@ def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
     axes = [name for name in ("x", "y", "z") if name in header]
     if not kinds or axes[:2] != ["x", "y"]:
         raise InputError(f"{source}: expected the columns view,x,y[,z] or track,x,y[,z] (columns: {','.join(header)})")
-    roles = ["optional_name" if n in kinds else "number" if n in axes else "skip" for n in header]
+    roles = ["optional_name" if n in kinds else "optional" if n in axes else "skip" for n in header]
     table = read_table(data, source, header, roles)
     known: dict[str, dict[str | int, list[float]]] = {"view": {}, "track": {}}
     for row in range(len(table.lines)):
@@ -239,8 +243,13 @@ def read_control(path: str | PathLike[str], rotation: bool = True) -> Control:
         kind, name = given[0]
         if name in known[kind]:
             raise InputError(f"{source}: {table.where(row)}, column {kind}: {name} is given twice")
-        known[kind][name] = [float(table.numbers[axis][row]) for axis in axes]
-    if not len(table.lines):
+        position = [float(table.numbers[axis][row]) for axis in axes]
+        empty = [axis for axis, value in zip(axes, position, strict=True) if math.isnan(value)]
+        if empty and len(empty) < len(axes):
+            raise InputError(f"{source}: {table.where(row)}, column {empty[0]}: empty, expected a finite number")
+        if not empty:
+            known[kind][name] = position
+    if not known["view"] and not known["track"]:
         raise InputError(f"{source}: has a header but no position")
     return Control(views=known["view"], points=known["track"], rotation=rotation)
 
@@ -267,9 +276,11 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
         raise InputError(f"form is {form!r}, expected one of {', '.join(map(repr, _FORM_COLUMNS))}")
     views, track_labels = tracks.view_labels(), tracks.track_labels()
     for kind, names in (("view", views), ("track", track_labels)):
-        odd = next((name for name in names if not name or name != name.strip()), None)
+        odd = next((name for name in names if not name or name != name.strip() or "\0" in name), None)
         if odd is not None:
-            raise InputError(f"the {kind} name {odd!r} is empty or has blanks around it and would not come back")
+            raise InputError(
+                f"the {kind} name {odd!r} is empty or has blanks around it or a NUL: it would not come back"
+            )
     wanted = _FORM_COLUMNS[form]
     values = direction_columns(tracks.bearing, form)
     header = ["view", "track", *(wanted[: len(values)])]
@@ -289,13 +300,40 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], form: Form = "xyz") 
         header.append("time_s")
         texts = ["" if math.isnan(v) else repr(v) for v in tracks.time_s.tolist()]
         cells.append([texts[i] for i in tracks.view.tolist()])
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    view_cells = [views[i] for i in tracks.view.tolist()]
-    track_cells = [track_labels[i] for i in tracks.track.tolist()]
-    writer.writerows(zip(view_cells, track_cells, *cells, strict=True))
-    write_bytes(Path(path), out.getvalue().encode("utf-8"))
+    view_cells, track_cells = quoted(views), quoted(track_labels)
+    rows = zip(
+        [view_cells[i] for i in tracks.view.tolist()],
+        [track_cells[i] for i in tracks.track.tolist()],
+        *cells,
+        strict=True,
+    )
+    write_bytes(Path(path), table_bytes(header, rows))
+
+
+def quoted(names: Sequence[str]) -> list[str]:
+    """Names as cells: in quotes where something in them would end the cell."""
+    return ['"' + name.replace('"', '""') + '"' if _SPECIAL.search(name) else name for name in names]
+
+
+def table_bytes(header: Sequence[str], rows: Iterable[Sequence[str]]) -> bytes:
+    """Join cells that are quoted where they need it."""
+    return "\n".join([",".join(header), *map(",".join, rows), ""]).encode("utf-8")
+
+
+def write_orientations(cam_from_world: Float, names: Sequence[str], path: str | PathLike[str]) -> None:
+    """Write an orientations file: ``view,qw,qx,qy,qz``, or ``view,heading_deg`` for (n_views,) headings in radians.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written.
+    """
+    if cam_from_world.ndim == 1:
+        header, values = ["view", "heading_deg"], np.degrees(cam_from_world)[:, None]
+    else:
+        header, values = ["view", *_QUATERNION], quaternion_from_rotation(cam_from_world)
+    cells = zip(quoted(names), *(map(repr, column) for column in values.T.tolist()), strict=True)
+    write_bytes(Path(path), table_bytes(header, cells))
 
 
 def direction_columns(bearing: Float, form: str) -> list[Float]:

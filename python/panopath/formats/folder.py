@@ -7,8 +7,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import json
 import math
 import os
@@ -25,7 +23,7 @@ import numpy as np
 
 from panopath import _core
 from panopath.formats.colmap import write_colmap
-from panopath.formats.csv import quaternion_from_rotation
+from panopath.formats.csv import quaternion_from_rotation, quoted, table_bytes
 from panopath.formats.ply import ply_bytes
 from panopath.formats.tum import tum_text
 from panopath.model import (
@@ -142,7 +140,7 @@ def read_scene(folder: str | PathLike[str]) -> Scene:
         raise InputError(f"{place / _MARK}: has the layout {mark['panopath'].get('layout')}, expected {_LAYOUT}")
     path = place / "scene.npz"
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         summary = _summary(mark["summary"])
         tracks = _tracks(arrays)
@@ -279,7 +277,7 @@ def _scene_json(scene: Scene, options: PositionOptions | None, files: Sequence[s
 def _cameras_csv(scene: Scene) -> bytes:
     statistics = scene.view_statistics()
     header = ["view", *_axes(scene.d)]
-    cells = [scene.view_labels(), *_number_cells(scene.centers)]
+    cells = [quoted(scene.view_labels()), *_number_cells(scene.centers)]
     if scene.d == 3:
         header += ["qw", "qx", "qy", "qz"]
         cells += _number_cells(quaternion_from_rotation(scene.cam_from_world))
@@ -288,15 +286,15 @@ def _cameras_csv(scene: Scene) -> bytes:
         cells += _number_cells(np.degrees(scene.cam_from_world)[:, None])
     header += ["component", "n_observations", "n_inliers", "angular_rms_deg"]
     cells += [
-        scene.view_component.tolist(),
-        statistics.n_observations.tolist(),
-        statistics.n_inliers.tolist(),
+        [*map(str, scene.view_component.tolist())],
+        [*map(str, statistics.n_observations.tolist())],
+        [*map(str, statistics.n_inliers.tolist())],
         *_number_cells(np.degrees(statistics.rms_rad)[:, None]),
     ]
     if scene.tracks is not None and scene.tracks.time_s is not None:
         header.append("time_s")
         cells += _number_cells(scene.tracks.time_s[:, None])
-    return _table(header, cells)
+    return table_bytes(header, zip(*cells, strict=True))
 
 
 def _points_csv(scene: Scene) -> bytes:
@@ -309,15 +307,15 @@ def _points_csv(scene: Scene) -> bytes:
     flags = texts[has_outliers + 2 * few]
     flags[~solved] = "undetermined"
     cells = [
-        scene.track_labels(),
+        quoted(scene.track_labels()),
         *_number_cells(scene.points),
-        scene.track_component.tolist(),
-        statistics.n_observations.tolist(),
-        statistics.n_inliers.tolist(),
+        [*map(str, scene.track_component.tolist())],
+        [*map(str, statistics.n_observations.tolist())],
+        [*map(str, statistics.n_inliers.tolist())],
         *_number_cells(np.degrees(statistics.rms_rad)[:, None]),
         flags.tolist(),
     ]
-    return _table(header, cells)
+    return table_bytes(header, zip(*cells, strict=True))
 
 
 def _axes(d: int) -> list[str]:
@@ -327,11 +325,3 @@ def _axes(d: int) -> list[str]:
 def _number_cells(columns: Float) -> list[list[str]]:
     """Texts that come back bit for bit, empty where not known."""
     return [["" if math.isnan(v) else repr(v) for v in columns[:, c].tolist()] for c in range(columns.shape[1])]
-
-
-def _table(header: list[str], cells: Sequence[Sequence[Any]]) -> bytes:
-    out = io.StringIO(newline="")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(zip(*cells, strict=True))
-    return out.getvalue().encode("utf-8")

@@ -56,7 +56,11 @@ def _column_names(frame: Any) -> list[object]:
 
 def _array(frame: Any, name: str, source: str) -> npt.NDArray[Any]:
     try:
-        array = np.asarray(frame[name])
+        column = frame[name]
+        array = np.asarray(column)
+        if array.dtype.kind == "U" and isinstance(column, list | tuple):
+            # numbers among text became text: let each entry speak for itself
+            array = np.asarray(column, dtype=object)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{source}: the column {name} cannot be read as an array ({error})") from None
     if array.ndim != 1:

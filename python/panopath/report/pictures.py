@@ -72,7 +72,7 @@ def draw_scene(
 
 
 def _matplotlib() -> Any:
-    """The Figure class: drawn without pyplot there is no window, no global state and no backend to choose."""
+    """Find the Figure class: without pyplot there is no window, no global state and no backend to choose."""
     try:
         importlib.import_module("matplotlib.backends.backend_agg")
         return importlib.import_module("matplotlib.figure").Figure
@@ -88,7 +88,9 @@ def _parts(scene: Scene, true_centers: Float) -> list[_Part]:
     axes = _axes(scene)
     parts = []
     for index in np.argsort(-sizes, kind="stable")[:_MOST_PARTS].tolist():
-        views = _in_time_order(scene, np.flatnonzero(scene.view_component == index))
+        views = _in_time_order(
+            scene, np.flatnonzero((scene.view_component == index) & np.isfinite(scene.centers).all(axis=1))
+        )
         points = np.flatnonzero((scene.track_component == index) & np.isfinite(scene.points).all(axis=1))
         parts.append(
             _Part(
@@ -134,13 +136,15 @@ def _limits(part: _Part) -> tuple[Float, float]:
     if not len(seen):
         return np.zeros(part.path.shape[1]), 1.0
     low, high = seen.min(axis=0), seen.max(axis=0)
-    middle = 0.5 * (low + high)
     path_half = 0.5 * float((high - low).max())
-    half = path_half
     if len(part.points):
-        distance = np.abs(part.points - middle).max(axis=1)
-        half = min(float(np.percentile(distance, 95.0)), 2.0 * float(np.median(distance)))
-    return middle, 1.08 * float(np.clip(half, path_half, 8.0 * path_half if path_half > 0.0 else np.inf)) or 1.0
+        distance = np.abs(part.points - 0.5 * (low + high)).max(axis=1)
+        reach = min(float(np.percentile(distance, 95.0)), 2.0 * float(np.median(distance)))
+        reach = float(np.clip(reach, path_half, 8.0 * path_half if path_half > 0.0 else np.inf))
+        near = part.points[distance <= reach]
+        low, high = np.vstack((near, low)).min(axis=0), np.vstack((near, high)).max(axis=0)
+    half = 0.5 * float((high - low).max())
+    return 0.5 * (low + high), 1.08 * half if half > 0.0 else 1.0
 
 
 def _draw_views(figure_class: Any, scene: Scene, parts: list[_Part], unit: str) -> Any:
@@ -162,7 +166,7 @@ def _draw_views(figure_class: Any, scene: Scene, parts: list[_Part], unit: str) 
                 ".",
                 markersize=_dot_size(len(dots)),
                 color=colour,
-                alpha=0.35,
+                alpha=0.5,
                 markeredgewidth=0,
                 rasterized=True,
                 label="points",
@@ -209,7 +213,7 @@ def _draw_path(panel: Any, part: _Part, right: int, up: int) -> None:
         "o-",
         color=_PATH_COLOUR,
         linewidth=1.1,
-        markersize=4.0 if few else 1.6,
+        markersize=4.0 if few else 0.0,
         label="camera path",
         zorder=4,
     )
@@ -316,4 +320,4 @@ def _sample(count: int) -> npt.NDArray[np.intp]:
 
 def _dot_size(count: int) -> float:
     """Diameter of a dot, in typographic points: small enough that many do not become one blot."""
-    return float(np.clip(90.0 / np.sqrt(max(count, 1)), 1.3, 7.0))
+    return float(np.clip(150.0 / np.sqrt(max(count, 1)), 1.6, 7.0))

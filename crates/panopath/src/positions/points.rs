@@ -6,23 +6,32 @@ use super::descent::{NewtonWeights, OUTLIER_SIGMAS, fit_point, intersect_rays, p
 use super::part::{Lanes, Part};
 use super::start::{Estimate, FAR, for_each_chunk, squared_chord};
 
-/// A track shows no parallax where its rays scatter about their mean by less than noise would but for this many standard
-/// deviations.
-const SCATTER_DEVIATIONS: f64 = 2.0;
+/// A track shows parallax where the squared scatter of its rays about their mean, in units of sigma, exceeds what noise
+/// gives by this much: its inverse depth is then known to a quarter or better. Below, depth is too far from linear in the
+/// rays for Gauss-Newton, and the track holds next to nothing.
+const PARALLAX_SQUARED: f64 = 16.0;
 /// A view keeps its tracks without parallax while it has fewer than this many others.
 const ENOUGH_OBSERVATIONS: u32 = 24;
 /// Pairs of rays tried for a track that lost most of its rays.
 const MAX_HYPOTHESES: usize = 12;
 
-/// Tracks whose rays are parallel within the noise. They hold no camera in place, and their depth wanders: the descent
-/// leaves them out wherever all their views see enough else.
-pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], sigma: f64) -> Vec<bool> {
+/// Tracks whose rays are parallel within the noise.
+pub(super) struct Parallel {
+    /// Those that the descent leaves out: they hold no camera in place, and their depth wanders. A track stays in where one
+    /// of its views sees too little else.
+    pub left_out: Vec<bool>,
+    /// Are there so few others that the views cannot be told from one place?
+    pub everything: bool,
+}
+
+/// Finds the tracks without parallax among the kept observations.
+pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], sigma: f64) -> Parallel {
     let mut parallel = vec![false; part.n_tracks()];
     for_each_chunk(part, &mut parallel, |tracks, out| {
         for (j, parallel) in tracks.zip(out) {
             let (_, scatter, count) = mean_direction(part, j, |o| keep[o]);
             let freedom = (D - 1) as f64 * (count - 1.0);
-            let limit = freedom + SCATTER_DEVIATIONS * (2.0 * freedom).sqrt();
+            let limit = freedom + PARALLAX_SQUARED;
             *parallel = count >= 2.0 && scatter < limit * sigma * sigma;
         }
     });
@@ -32,10 +41,11 @@ pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], si
             others[part.view[o] as usize] += 1;
         }
     }
-    for (j, parallel) in parallel.iter_mut().enumerate() {
-        *parallel &= part.observations(j).all(|o| others[part.view[o] as usize] >= ENOUGH_OBSERVATIONS);
-    }
-    parallel
+    let informative: u32 = others.iter().sum();
+    let left_out = parallel.iter().enumerate().map(|(j, parallel)| {
+        *parallel && part.observations(j).all(|o| others[part.view[o] as usize] >= ENOUGH_OBSERVATIONS)
+    });
+    Parallel { left_out: left_out.collect(), everything: (informative as usize) < D * part.n_views }
 }
 
 /// Mean direction of the rays for which `keep` holds, the squared scatter about it weighted by precision, their number.

@@ -13,6 +13,9 @@ use super::start::{Estimate, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::LeastSquaresError;
 
+/// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
+const MEANINGLESS_RAD: f64 = 0.2;
+
 /// Solution of one part, in its own gauge.
 pub(super) struct PartSolution {
     pub estimate: Estimate,
@@ -54,20 +57,23 @@ pub(super) fn solve_part<const D: usize>(
     let mut sigma = noise_scale(part, &errors, |_| true);
     let mut inlier = inliers(part, &errors, sigma);
     let mut effort = Effort::rough(max_iterations, part.n_observations());
-    let converged = loop {
+    let (converged, nothing_near) = loop {
         let parallel = without_parallax(part, &inlier, sigma);
-        let active = without_tracks(part, &inlier, &parallel);
+        let active = without_tracks(part, &inlier, &parallel.left_out);
         let descent = descend(part, &mut system, &mut estimate, &active, sigma, effort)?;
         iterations += descent.iterations;
         sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
-        inlier = reconsider(part, &mut estimate, &parallel, sigma);
+        inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
         if effort.is_full() {
-            break descent.converged;
+            assemble_information(part, &mut system, &estimate, &active, sigma);
+            system.factorise()?;
+            break (descent.converged, parallel.everything);
         }
         effort = Effort::full(max_iterations);
     };
     let chord = chords(part, &estimate);
-    let status = match (converged, weakest_mode_is_loose(part, &mut system, &estimate, sigma)?) {
+    let loose = nothing_near || sigma > MEANINGLESS_RAD || weakest_mode_is_loose(part, &mut system, &estimate, sigma)?;
+    let status = match (converged, loose) {
         (_, true) => Status::Ambiguous,
         (true, false) => Status::Converged,
         (false, false) => Status::MaxIterations,

@@ -29,6 +29,8 @@ impl Estimate {
 pub(super) const SCALE_FLOOR_RAD: f64 = 2e-4;
 /// The scale is this multiple of the median chord.
 const SCALE_OVER_MEDIAN: f64 = 2.0;
+/// No track starts with more than this multiple of the median weight: bodies that pass close by move, as often as not.
+const LARGEST_WEIGHT: f64 = 4.0;
 /// Re-weighting stops when the scale changes by less than this.
 const SCALE_TOLERANCE: f64 = 0.05;
 /// More rounds make long open chains drift.
@@ -136,6 +138,9 @@ fn parallax_weights<const D: usize>(part: &Part<D>) -> ParallaxWeights<'_, D> {
             *q = (parallax - noise).max(1e-3 * noise);
         }
     });
+    let mut beyond_noise: Vec<f64> = weight.iter().copied().filter(|&q| q > 2.0 * noise).collect();
+    let cap = if beyond_noise.is_empty() { f64::INFINITY } else { LARGEST_WEIGHT * median(&mut beyond_noise) };
+    weight.iter_mut().for_each(|q| *q = q.min(cap));
     ParallaxWeights { part, weight }
 }
 

@@ -1,0 +1,559 @@
+"""The command line: parse, call, print. Degrees here, radians inside.
+
+Answers go to standard output, progress and complaints to standard error.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from panopath import _core
+from panopath.evaluate import Alignment, Evaluation, evaluate
+from panopath.formats import read_control, read_problem, read_scene, read_truth, write_scene, write_tracks
+from panopath.formats.csv import Form, write_orientations
+from panopath.formats.folder import check_writable
+from panopath.formats.parquet import write_parquet
+from panopath.formats.structure import known_scene
+from panopath.model import (
+    Float,
+    Gauge,
+    InputError,
+    LinearForm,
+    LinearGauge,
+    LinearSolver,
+    Method,
+    MissingExtraError,
+    PanopathError,
+    PositionOptions,
+    Problem,
+    Scene,
+    Status,
+    Tracks,
+    summary_dict,
+)
+from panopath.report import draw_scene
+from panopath.steps import position_covariance, solve_positions
+from panopath.synthetic import SyntheticWorld, WorldName, simulate
+
+EXIT_INPUT = 2
+EXIT_UNDETERMINED = 3
+_EXIT_HELP = "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene."
+_MOST_ROWS = 12
+#: What --set may not set, as an option of its own does.
+_OWN_OPTIONS = {
+    "world": "WORLD",
+    "n_views": "--views",
+    "n_points": "--points",
+    "seed": "--seed",
+    "dimension": "--dimension",
+    "noise_rad": "--noise-deg",
+    "outlier_fraction": "--outliers",
+    "orientation_error_rad": "--orientation-error-deg",
+    "orientations": "--camera-frame",
+}
+_STATUS_TEXT = {
+    Status.CONVERGED: "converged",
+    Status.MAX_ITERATIONS: "stopped at the limit of iterations; the scene may still move",
+    Status.AMBIGUOUS: "ambiguous: the bearings leave more free than shift and scale",
+    Status.DISCONNECTED: "solved in parts that share no scale: positions of different parts cannot be compared",
+    Status.UNDETERMINED: "undetermined: the bearings fix no part of the scene",
+}
+
+app = typer.Typer(
+    name="panopath",
+    help="From the bearings of an omni-directional camera to its path and the space around it.",
+    epilog=_EXIT_HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but complaints.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Write over what is there though panopath did not make it.")
+]
+NoPlots = Annotated[bool, typer.Option("--no-plots", help="Draw no pictures.")]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; ends by ``SystemExit`` with one of the exit codes.
+
+    What a user got wrong becomes one line; an error of ours keeps its traceback.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        app(given, prog_name="panopath")
+    except PanopathError as error:
+        line = " ".join(str(error).split())
+        if "--json" in given:
+            sys.stdout.write(json.dumps({"error": line}) + "\n")
+        Console(stderr=True, highlight=False, soft_wrap=True).print(f"panopath: {line}", markup=False)
+        sys.exit(EXIT_INPUT)
+    except BrokenPipeError:
+        # whoever read our output has seen enough; keep the interpreter from complaining when it closes the pipe
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
+    if version:
+        typer.echo(f"panopath {_core.__version__}")
+        raise typer.Exit
+
+
+@dataclass(frozen=True)
+class _Terminal:
+    """Where a command speaks: its answer to standard output, everything else to standard error."""
+
+    as_json: bool
+    quiet: bool
+
+    @contextlib.contextmanager
+    def working(self, what: str) -> Iterator[None]:
+        """Show that something long is under way, and how long it took."""
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        if self.quiet or self.as_json or not console.is_terminal:
+            yield
+            return
+        begin = time.perf_counter()
+        with console.status(f"{what} ..."):
+            yield
+        console.print(f"[dim]{what}: {time.perf_counter() - begin:.2f} s[/dim]")
+
+    def warn(self, text: str) -> None:
+        """Say something that a person should know, on standard error."""
+        Console(stderr=True, highlight=False, soft_wrap=True).print(f"panopath: {text}", markup=False)
+
+    def answer(self, plain: dict[str, Any], show: Callable[[Console], None]) -> None:
+        """Give the answer: as JSON, or as ``show`` prints it, or not at all."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(plain) + "\n")
+        elif not self.quiet:
+            show(Console(highlight=False, soft_wrap=True))
+
+
+@app.command(epilog=_EXIT_HELP)
+def solve(
+    tracks: Annotated[
+        Path, typer.Argument(help="Bearings (CSV, Parquet), a BAL file, a COLMAP model folder or a panopath folder.")
+    ],
+    *,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write the scene to.")] = None,
+    orientations: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV view,qw,qx,qy,qz (cam_from_world) or view,heading_deg: the bearings are in the cameras."
+        ),
+    ] = None,
+    method: Annotated[Method, typer.Option(help="robust, or the paper's least squares (linear).")] = "robust",
+    gauge: Annotated[Gauge | None, typer.Option(help="Where the scene is put. Default: normalized.")] = None,
+    control: Annotated[
+        Path | None, typer.Option(help="CSV view,x,y[,z] or track,x,y[,z] of known positions to fit the scene to.")
+    ] = None,
+    sigma_deg: Annotated[
+        float | None, typer.Option(help="Accuracy of a bearing, one standard deviation, where the file gives none.")
+    ] = None,
+    linear_form: Annotated[LinearForm, typer.Option(help="method=linear in space: how.")] = "joint",
+    linear_gauge: Annotated[LinearGauge, typer.Option(help="method=linear: what fixes the scale.")] = "functional",
+    linear_solver: Annotated[LinearSolver, typer.Option(help="How the camera system is solved.")] = "auto",
+    vertical_axis: Annotated[int, typer.Option(min=0, max=2, help="linear-form=two_stage: the axis of height.")] = 2,
+    max_iterations: Annotated[int | None, typer.Option(min=1, help="Most steps of refinement.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads to use. Default: all cores.")] = None,
+    no_split: Annotated[bool, typer.Option("--no-split", help="Solve as one even where parts share no scale.")] = False,
+    overwrite: Overwrite = False,
+    no_plots: NoPlots = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find camera positions and points from bearings of known orientation.
+
+    Bearings are directions in the world unless --orientations, or the file itself, says how each view is turned.
+    """
+    terminal = _Terminal(as_json, quiet)
+    if out is not None:
+        check_writable(out, overwrite)
+    options = _position_options(
+        method=method,
+        gauge=gauge,
+        control=control,
+        linear_form=linear_form,
+        linear_gauge=linear_gauge,
+        linear_solver=linear_solver,
+        vertical_axis=vertical_axis,
+        max_iterations=max_iterations,
+        threads=threads,
+        split_parts=not no_split,
+    )
+    with terminal.working("reading"):
+        problem = _with_sigma(read_problem(tracks, orientations), sigma_deg)
+    begin = time.perf_counter()
+    with terminal.working("solving"):
+        scene = solve_positions(problem.tracks, problem.cam_from_world, options)
+    seconds = time.perf_counter() - begin
+    pictures = False
+    if out is not None:
+        with terminal.working("writing"):
+            pictures = _write(scene, out, options, overwrite, None if no_plots else _Drawing(terminal))
+    plain = summary_dict(scene.summary) | {"wall_s": seconds, "out": None if out is None else str(out)}
+    terminal.answer(plain, lambda console: _show_scene(console, scene, seconds, out, pictures))
+    if not scene.summary.status.is_determined:
+        raise typer.Exit(EXIT_UNDETERMINED)
+
+
+@app.command("simulate", epilog=_EXIT_HELP)
+def simulate_command(
+    world: Annotated[WorldName, typer.Argument(help="Which world.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Bearings to write: .csv, .csv.gz or .parquet.")],
+    *,
+    views: Annotated[int, typer.Option(min=1, help="Number of views.")] = 100,
+    points: Annotated[int, typer.Option(min=1, help="Number of points.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    dimension: Annotated[int | None, typer.Option(min=2, max=3, help="2: in the plane, 3: in space.")] = None,
+    noise_deg: Annotated[float, typer.Option(min=0.0, help="Angular noise, one standard deviation.")] = 0.0,
+    outliers: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bearings that are wrong.")] = 0.0,
+    orientation_error_deg: Annotated[float, typer.Option(min=0.0, help="Error of the orientations told.")] = 0.0,
+    camera_frame: Annotated[
+        bool,
+        typer.Option("--camera-frame", help="Turn the cameras at random; write bearings in them, and orientations."),
+    ] = False,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="Any other option of panopath.simulate, as name=value; repeat.")
+    ] = None,
+    form: Annotated[Form, typer.Option(help="How CSV writes directions.")] = "xyz",
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the bearings of a synthetic world, and beside them its truth.
+
+    For F.csv the truth is the folder F.truth, which `panopath evaluate` takes; --camera-frame adds F.orientations.csv.
+    """
+    terminal = _Terminal(as_json, quiet)
+    stem = out.name.removesuffix(".gz").removesuffix(".csv").removesuffix(".parquet")
+    truth_folder = out.with_name(f"{stem}.truth")
+    orientations = out.with_name(f"{stem}.orientations.csv")
+    for path in (out, orientations) if camera_frame else (out,):
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: is there already; name another file or ask for --overwrite")
+    check_writable(truth_folder, overwrite)
+    options = _settings(setting or [])
+    if dimension is not None:
+        options["dimension"] = dimension
+    with terminal.working("simulating"):
+        made = simulate(
+            world,
+            n_views=views,
+            n_points=points,
+            seed=seed,
+            noise_rad=float(np.radians(noise_deg)),
+            outlier_fraction=outliers,
+            orientation_error_rad=float(np.radians(orientation_error_deg)),
+            orientations="random" if camera_frame else "identity",
+            **options,
+        )
+    with terminal.working("writing"):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if camera_frame:
+            write_orientations(made.cam_from_world, made.tracks.view_labels(), orientations)
+        told = made.tracks if camera_frame else made.tracks.to_world(made.cam_from_world)
+        _write_bearings(told, out, form)
+        truth = known_scene(made.tracks, made.cam_from_world, made.centers, made.points, ~made.outlier)
+        write_scene(truth, truth_folder, overwrite=overwrite)
+    plain = {
+        "out": str(out),
+        "truth": str(truth_folder),
+        "orientations": str(orientations) if camera_frame else None,
+        "n_views": told.n_views,
+        "n_tracks": told.n_tracks,
+        "n_observations": len(told),
+        "n_outliers": int(made.outlier.sum()),
+    }
+    terminal.answer(plain, lambda console: _show_files(console, plain))
+
+
+@app.command("evaluate", epilog=_EXIT_HELP)
+def evaluate_command(
+    out: Annotated[Path, typer.Argument(help="Folder that panopath solve wrote.")],
+    truth: Annotated[
+        Path,
+        typer.Argument(help="Truth: a panopath folder, COLMAP model, BAL file, or CSV view,x,y[,z] | track,x,y[,z]."),
+    ],
+    *,
+    alignment: Annotated[Alignment, typer.Option(help="What is fitted before comparing.")] = "similarity",
+    trim: Annotated[float | None, typer.Option(min=0.0, help="Largest share of cameras the fit may leave out.")] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare a scene with the truth, in the units of the truth."""
+    terminal = _Terminal(as_json, quiet)
+    scene = read_scene(out)
+    result = evaluate(scene, read_truth(truth, scene), alignment, trim)
+    terminal.answer(result.to_dict(), lambda console: _show_evaluation(console, result))
+
+
+@app.command(epilog=_EXIT_HELP)
+def demo(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")] = Path("panopath-demo"),
+    views: Annotated[int, typer.Option(min=3, help="Number of views, 1 m apart.")] = 100,
+    points: Annotated[int, typer.Option(min=10, help="Number of points.")] = 10_000,
+    noise_deg: Annotated[float, typer.Option(min=0.0, help="Angular noise, one standard deviation.")] = 0.05,
+    outliers: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bearings that are wrong.")] = 0.2,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
+    overwrite: Overwrite = False,
+    no_plots: NoPlots = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a street walk with noise and outliers, solve it, and compare with the truth. Needs no download."""
+    terminal = _Terminal(as_json, quiet)
+    check_writable(out, overwrite)
+    with terminal.working("simulating"):
+        world = simulate(
+            "street",
+            n_views=views,
+            n_points=points,
+            seed=seed,
+            outlier_fraction=outliers,
+            noise_rad=float(np.radians(noise_deg)),
+        )
+    begin = time.perf_counter()
+    with terminal.working("solving"):
+        scene = solve_positions(world.tracks)
+    seconds = time.perf_counter() - begin
+    result = evaluate(scene, world, "translation_scale")
+    with terminal.working("finding the best that is possible"):
+        expected = _expected_rms(world)
+    in_metres = replace(scene, centers=result.aligned_centers, points=result.aligned_points)
+    with terminal.working("writing"):
+        drawing = None if no_plots else _Drawing(terminal, world.centers, "m")
+        pictures = _write(in_metres, out, PositionOptions(), overwrite, drawing)
+    plain = (
+        summary_dict(scene.summary)
+        | result.to_dict()
+        | {"expected_camera_rms": expected, "wall_s": seconds, "out": str(out)}
+    )
+    terminal.answer(
+        plain, lambda console: _show_demo(console, in_metres, world, result, expected, seconds, out, pictures)
+    )
+    if not scene.summary.status.is_determined:
+        raise typer.Exit(EXIT_UNDETERMINED)
+
+
+def _position_options(*, gauge: Gauge | None, control: Path | None, **choices: Any) -> PositionOptions:
+    """Build the options; a control file asks for its gauge by being there."""
+    if choices["max_iterations"] is None:
+        del choices["max_iterations"]
+    if control is None:
+        return PositionOptions(gauge=gauge or "normalized", **choices)
+    if gauge not in (None, "control"):
+        raise InputError(f"--control asks for --gauge control, but --gauge is {gauge}")
+    return PositionOptions(gauge="control", control=read_control(control), **choices)
+
+
+def _with_sigma(problem: Problem, sigma_deg: float | None) -> Problem:
+    if sigma_deg is None or problem.tracks.sigma_rad is not None:
+        return problem
+    if not (np.isfinite(sigma_deg) and sigma_deg > 0.0):
+        raise InputError(f"--sigma-deg is {sigma_deg}, expected a positive number")
+    sigma_rad = np.full(len(problem.tracks), np.radians(sigma_deg))
+    return replace(problem, tracks=replace(problem.tracks, sigma_rad=sigma_rad), scene=None)
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """What pictures need beside the scene."""
+
+    terminal: _Terminal
+    truth: Float | None = None
+    unit: str = ""
+
+
+def _write(scene: Scene, out: Path, options: PositionOptions, overwrite: bool, drawing: _Drawing | None) -> bool:
+    """Write the folder; the pictures belong to it where matplotlib is there. Returns whether they do."""
+    drawn = False
+
+    def draw(folder: Path) -> None:
+        nonlocal drawn
+        if drawing is not None:
+            try:
+                draw_scene(scene, folder, drawing.truth, drawing.unit)
+                drawn = True
+            except MissingExtraError as error:
+                drawing.terminal.warn(str(error))
+
+    write_scene(scene, out, options=options, overwrite=overwrite, extra=draw)
+    return drawn
+
+
+def _write_bearings(tracks: Tracks, path: Path, form: Form) -> None:
+    if path.suffix == ".parquet":
+        write_parquet(tracks, path)
+    else:
+        write_tracks(tracks, path, form)
+
+
+def _settings(texts: Sequence[str]) -> dict[str, Any]:
+    """Read ``name=value`` pairs: numbers as numbers, ``a,b`` as a pair, the rest as text."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, mark, value = text.partition("=")
+        if not mark:
+            raise InputError(f"--set {text!r}: expected name=value")
+        if name in _OWN_OPTIONS:
+            raise InputError(f"--set {name}: use {_OWN_OPTIONS[name]}")
+        if name not in inspect.signature(simulate).parameters:
+            raise InputError(f"--set {name}: panopath.simulate has no such option")
+        parts = [_number_or_text(part) for part in value.split(",")]
+        found[name] = parts[0] if len(parts) == 1 else tuple(parts)
+    return found
+
+
+def _number_or_text(text: str) -> Any:
+    for read in (int, float):
+        with contextlib.suppress(ValueError):
+            return read(text)
+    return text
+
+
+def _expected_rms(world: SyntheticWorld) -> float:
+    """Root mean square camera error of the best estimator, told which bearings are wrong (Cramer-Rao)."""
+    if world.noise_rad <= 0.0:
+        return 0.0
+    tracks = replace(world.tracks, sigma_rad=np.full(len(world.tracks), world.noise_rad))
+    covariance = position_covariance(tracks, (world.centers, world.points), inlier=~world.outlier)
+    return float(np.sqrt(np.nanmean(np.trace(covariance, axis1=1, axis2=2))))
+
+
+def _show_scene(console: Console, scene: Scene, seconds: float, out: Path | None, pictures: bool) -> None:
+    console.print(_parts_table(scene))
+    summary = scene.summary
+    console.print(f"{_STATUS_TEXT[summary.status]}; {summary.iterations} iterations, {seconds:.2f} s", markup=False)
+    if np.isfinite(summary.sigma_rad):
+        console.print(f"accuracy of a bearing: {np.degrees(summary.sigma_rad):.4g} degrees")
+    left = (summary.n_views - summary.n_solved_views, summary.n_tracks - summary.n_solved_points)
+    if any(left):
+        console.print(f"not determined: {left[0]:,} views and {left[1]:,} points")
+    if out is None:
+        console.print("nothing was written; -o FOLDER writes the scene")
+    else:
+        console.print(f"written to {out}" + (" (look at views.png and errors.png)" if pictures else ""), markup=False)
+
+
+def _parts_table(scene: Scene) -> Table:
+    table = Table(header_style="bold")
+    for name in ("part", "views", "points", "observations", "outliers", "angular rms"):
+        table.add_column(name, justify="right")
+    rows = [_part_row(scene, component) for component in range(scene.n_components)]
+    order = sorted(range(len(rows)), key=lambda c: (-rows[c][0], c))
+    for component in order[:_MOST_ROWS]:
+        table.add_row(str(component + 1), *_cells(rows[component]))
+    if len(rows) > _MOST_ROWS:
+        table.add_row("...", f"{len(rows) - _MOST_ROWS} more", "", "", "", "")
+    if len(rows) != 1:
+        table.add_section()
+        table.add_row("all", *_cells(_part_row(scene, None)))
+    return table
+
+
+def _cells(row: tuple[int, int, int, int, float]) -> list[str]:
+    views, points, n, outliers, rms_deg = row
+    share = f" ({100.0 * outliers / n:.1f} %)" if n else ""
+    rms = f"{rms_deg:.4g} deg" if np.isfinite(rms_deg) else "-"
+    return [f"{views:,}", f"{points:,}", f"{n:,}", f"{outliers:,}{share}", rms]
+
+
+def _part_row(scene: Scene, component: int | None) -> tuple[int, int, int, int, float]:
+    """Count views, points, observations and outliers, with the angular rms in degrees; of all parts for None."""
+    views = scene.view_component >= 0 if component is None else scene.view_component == component
+    points = scene.track_component >= 0 if component is None else scene.track_component == component
+    inside = np.isfinite(scene.residual_rad)
+    if scene.tracks is not None:
+        owner, track = scene.view_component[scene.tracks.view], scene.track_component[scene.tracks.track]
+        inside = (owner >= 0 if component is None else owner == component) & (track == owner)
+    used = inside & scene.inlier
+    rms_rad = float(np.sqrt(np.mean(scene.residual_rad[used] ** 2))) if used.any() else float("nan")
+    n, n_used = int(inside.sum()), int(used.sum())
+    return int(views.sum()), int(points.sum()), n, n - n_used, float(np.degrees(rms_rad))
+
+
+def _show_files(console: Console, plain: dict[str, Any]) -> None:
+    console.print(
+        f"{plain['n_observations']:,} observations of {plain['n_tracks']:,} points by {plain['n_views']:,} views, "
+        f"{plain['n_outliers']:,} of them wrong"
+    )
+    for name in ("out", "orientations", "truth"):
+        if plain[name] is not None:
+            console.print(f"{'bearings' if name == 'out' else name}: {plain[name]}", markup=False)
+    told = f" --orientations {plain['orientations']}" if plain["orientations"] else ""
+    console.print(
+        f"next: panopath solve {plain['out']}{told} -o OUT && panopath evaluate OUT {plain['truth']}", markup=False
+    )
+
+
+def _show_evaluation(console: Console, result: Evaluation) -> None:
+    table = Table(header_style="bold")
+    for name in ("", "compared", "rms", "median", "largest"):
+        table.add_column(name, justify="right")
+    table.add_row(
+        "cameras", f"{result.n_views:,}", *map(_length, (result.camera_rms, result.camera_median, result.camera_max))
+    )
+    table.add_row("points", f"{result.n_points:,}", *map(_length, (result.point_rms, result.point_median)), "")
+    console.print(table)
+    if np.isfinite(result.point_relative_median):
+        console.print(f"median error of a point: {100.0 * result.point_relative_median:.3g} % of its distance")
+    console.print(f"fitted: scale {result.scale:.6g}, rotation {np.degrees(result.rotation_rad):.4g} degrees")
+    if len(result.alignments) > 1:
+        console.print(f"{len(result.alignments)} parts, each fitted by itself")
+    if any(not fit.is_unique for fit in result.alignments):
+        console.print("too few positions, or all on a line: the fit is not unique, the errors are lower bounds")
+
+
+def _length(value: float) -> str:
+    return f"{value:.4g}" if np.isfinite(value) else "-"
+
+
+def _show_demo(  # noqa: PLR0917 (prints what was found, all of it)
+    console: Console,
+    scene: Scene,
+    world: SyntheticWorld,
+    result: Evaluation,
+    expected: float,
+    seconds: float,
+    out: Path,
+    pictures: bool,
+) -> None:
+    console.print(
+        f"A street walk: {world.tracks.n_views:,} views 1 m apart, {world.tracks.n_tracks:,} points, noise "
+        f"{np.degrees(world.noise_rad):g} degrees, {100.0 * float(world.outlier.mean()):.1f} % of the bearings wrong."
+    )
+    _show_scene(console, scene, seconds, out, pictures)
+    found = scene.inlier
+    missed = int((found & world.outlier).sum())
+    lost = int((~found & ~world.outlier).sum())
+    console.print(f"wrong bearings kept: {missed:,} of {int(world.outlier.sum()):,}; good ones dropped: {lost:,}")
+    console.print(f"camera error against truth:     {1e3 * result.camera_rms:.4g} mm rms")
+    if expected > 0.0:
+        console.print(f"expected of the best estimator: {1e3 * expected:.4g} mm rms (Cramer-Rao bound)")
+        ratio = result.camera_rms / expected
+        console.print(f"ratio: {ratio:.2f} (single runs scatter around 1: a few slow bends of the path rule the error)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,244 @@
+"""The command line: what is printed where, exit codes, files, and no traceback for a user's own mistake."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import panopath as pp
+import pytest
+from panopath.cli import main
+
+
+@dataclass(frozen=True)
+class Ran:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        found = json.loads(self.out)
+        assert isinstance(found, dict)
+        return found
+
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments: str) -> Ran:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        printed = capsys.readouterr()
+        assert "Traceback" not in printed.err
+        return Ran(int(ended.value.code or 0), printed.out, printed.err)
+
+    return call
+
+
+def test_version_and_help(run: Run) -> None:
+    assert run("--version").out.strip() == f"panopath {pp.__version__}"
+    for command in ((), ("solve",), ("simulate",), ("evaluate",), ("demo",)):
+        ran = run(*command, "--help")
+        assert ran.code == 0
+        text = " ".join(ran.out.split())
+        assert "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene." in text
+
+
+def test_simulate_solve_evaluate(run: Run, tmp_path: Path) -> None:
+    made = run(
+        "simulate", "street", "-o", "s.csv", "--views", "25", "--points", "400", "--seed", "4", "--noise-deg", "0.05"
+    )
+    assert made.code == 0
+    assert "panopath solve s.csv -o OUT" in made.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.csv", "s.truth"]
+    solved = run("solve", "s.csv", "-o", "out")
+    assert (solved.code, solved.err) == (0, "")
+    for text in ("part", "views", "points", "outliers", "angular rms", "converged", "written to out", "views.png"):
+        assert text in solved.out
+    assert {"views.png", "errors.png", "cameras.csv"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    found = run("evaluate", "out", "s.truth", "--json").json
+    assert found["n_views"] == 25
+    assert 0.0 < found["camera_rms"] < 0.05
+    assert (
+        abs(run("evaluate", "out", "s.truth/cameras.csv", "--json").json["camera_rms"] / found["camera_rms"] - 1) < 1e-9
+    )
+    table = run("evaluate", "out", "s.truth", "--alignment", "translation_scale")
+    assert "cameras" in table.out
+    assert "rotation 0 degrees" in table.out
+
+
+def test_cameras_turned_at_random(run: Run, tmp_path: Path) -> None:
+    run(
+        "simulate", "room", "-o", "r.parquet", "--views", "15", "--points", "200", "--camera-frame", "--set", "near_m=2"
+    )
+    assert (tmp_path / "r.orientations.csv").exists()
+    assert run("solve", "r.parquet", "--orientations", "r.orientations.csv", "-o", "out", "--no-plots").code == 0
+    assert not (tmp_path / "out" / "views.png").exists()
+    assert run("evaluate", "out", "r.truth", "--json").json["camera_rms"] < 1e-9
+    # what was written holds its orientations, so it can be solved again as it is
+    assert run("solve", "out", "-o", "again", "--no-plots", "--json").json["status"] == "converged"
+    assert run("evaluate", "again", "r.truth", "--json").json["camera_rms"] < 1e-9
+
+
+def test_json_is_one_object_and_quiet_is_quiet(run: Run) -> None:
+    assert run(
+        "simulate", "box", "-o", "b.csv", "--views", "5", "--points", "30", "--dimension", "2", "--json"
+    ).json == {
+        "out": "b.csv",
+        "truth": "b.truth",
+        "orientations": None,
+        "n_views": 5,
+        "n_tracks": 30,
+        "n_observations": run("solve", "b.csv", "--json").json["n_observations"],
+        "n_outliers": 0,
+    }
+    solved = run("solve", "b.csv", "--json")
+    assert solved.err == ""
+    assert solved.json["status"] == "converged"
+    assert solved.json["n_solved_views"] == 5
+    assert set(solved.json) >= {"iterations", "sigma_rad", "seconds", "wall_s", "n_components", "n_inliers", "out"}
+    quiet = run("solve", "b.csv", "-o", "out", "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    assert "nothing was written" in run("solve", "b.csv").out
+
+
+def test_undetermined_has_its_own_exit_code(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("view,track,theta_deg,phi_deg\na,p,0,0\na,q,10,0\n")
+    ran = run("solve", "one.csv", "-o", "out", "--json")
+    assert (ran.code, ran.json["status"]) == (3, "undetermined")
+    # the answer "nothing" is written too
+    assert pp.read_scene("out").summary.status is pp.Status.UNDETERMINED
+    assert "undetermined" in run("solve", "one.csv").out
+
+
+def test_control(run: Run, tmp_path: Path) -> None:
+    run("simulate", "box", "-o", "b.csv", "--views", "6", "--points", "30")
+    truth = pp.read_scene("b.truth")
+    rows = [f"{i},{','.join(map(repr, (10.0 * truth.centers[i] + 5.0).tolist()))}" for i in range(4)]
+    (tmp_path / "c.csv").write_text("view,x,y,z\n" + "\n".join(rows) + "\n")
+    assert run("solve", "b.csv", "-o", "out", "--control", "c.csv", "--no-plots").code == 0
+    np.testing.assert_allclose(pp.read_scene("out").centers, 10.0 * truth.centers + 5.0, atol=1e-6)
+    assert "--gauge is paper" in run("solve", "b.csv", "--control", "c.csv", "--gauge", "paper").err
+    assert run("solve", "b.csv", "--gauge", "control").code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("solve",), "Missing argument"),
+        (("solve", "b.csv", "--method", "magic"), "magic"),
+        (("solve", "b.csv", "--threads", "0"), "--threads"),
+        (("solve", "none.csv"), "none.csv: there is no such file"),
+        (("solve", "b.csv", "--sigma-deg", "-1"), "--sigma-deg is -1.0"),
+        (("solve", "b.csv", "-o", "mine"), "not panopath's"),
+        (("solve", "b.csv", "-o", "b.csv"), "is a file"),
+        (("evaluate", "mine", "b.csv"), "no scene.json"),
+        (("evaluate", "b.truth", "b.csv"), "no positions"),
+        (("evaluate", "b.truth", "strange.csv"), "names no view"),
+        (("evaluate", "b.truth", "b.truth", "--trim", "2"), "trim is 2.0"),
+        (("simulate", "moon", "-o", "m.csv"), "moon"),
+        (("simulate", "box", "-o", "b.csv"), "is there already"),
+        (("simulate", "box", "-o", "m.csv", "--set", "near_m=1"), "near_m"),
+        (("simulate", "box", "-o", "m.csv", "--set", "bogus=1"), "no such option"),
+        (("simulate", "box", "-o", "m.csv", "--set", "seed=1"), "use --seed"),
+        (("simulate", "box", "-o", "m.csv", "--set", "seed"), "expected name=value"),
+        (("demo", "-o", "mine"), "not panopath's"),
+        (("fly",), "fly"),
+    ],
+)
+def test_mistakes(run: Run, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    run("simulate", "box", "-o", "b.csv", "--views", "4", "--points", "10", "--dimension", "2")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    (tmp_path / "strange.csv").write_text("view,x,y\nnobody,1,2\n")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    ran = run(*arguments)
+    assert ran.code == 2
+    assert ran.out == ""
+    assert message in " ".join(ran.err.split())
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_mistakes_as_json(run: Run) -> None:
+    ran = run("solve", "none.csv", "--json")
+    assert (ran.code, ran.json) == (2, {"error": "none.csv: there is no such file"})
+
+
+def test_overwrite_when_asked(run: Run, tmp_path: Path) -> None:
+    run("simulate", "box", "-o", "b.csv", "--views", "4", "--points", "10")
+    assert run("simulate", "box", "-o", "b.csv", "--views", "5", "--points", "10", "--overwrite").code == 0
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    assert run("solve", "b.csv", "-o", "mine", "--overwrite", "--no-plots").code == 0
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "precious"
+    assert run("solve", "b.csv", "-o", "mine").code == 0  # it is panopath's now
+
+
+def test_demo(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", "--views", "30", "--points", "1500", "--json")
+    assert ran.code == 0
+    found = ran.json
+    assert found["status"] == "converged"
+    assert (tmp_path / "panopath-demo" / "views.png").exists()
+    # the scene is written in metres, over the truth; one run scatters about the bound
+    assert 0.1 * found["expected_camera_rms"] < found["camera_rms"] < 3.0 * found["expected_camera_rms"]
+    world = pp.simulate("street", n_views=30, n_points=1500, seed=1, outlier_fraction=0.2, noise_rad=np.radians(0.05))
+    written = pp.read_scene("panopath-demo")
+    assert np.sqrt(np.mean(np.sum((written.centers - world.centers) ** 2, axis=1))) == pytest.approx(
+        found["camera_rms"]
+    )
+    again = run("demo", "--views", "30", "--points", "1500", "-o", "panopath-demo", "--no-plots")
+    assert again.code == 0
+    assert "Cramer-Rao" in again.out
+    assert not (tmp_path / "panopath-demo" / "views.png").exists()
+
+
+def test_without_matplotlib_the_rest_goes_on(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("simulate", "box", "-o", "b.csv", "--views", "5", "--points", "20")
+    real = importlib.import_module
+
+    def absent(name: str, package: str | None = None) -> Any:
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, package)
+
+    monkeypatch.setattr(importlib, "import_module", absent)
+    ran = run("solve", "b.csv", "-o", "out")
+    assert ran.code == 0
+    assert ran.err.strip() == 'panopath: pictures need matplotlib: install the extra with pip install "panopath[plot]"'
+    assert pp.read_scene("out").summary.n_solved_views == 5
+
+
+def test_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """The real entry point: exit code, streams, and a reader that goes away early."""
+    command = [sys.executable, "-m", "panopath.cli"]
+    bad = subprocess.run([*command, "solve", "none.csv"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (bad.returncode, bad.stdout, bad.stderr) == (2, "", "panopath: none.csv: there is no such file\n")
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    early = subprocess.run([*command, "--help"], stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write_end)
+    assert "Traceback" not in early.stderr
+
+
+def test_base_install_imports_nothing_heavy() -> None:
+    heavy = ("matplotlib", "pandas", "polars", "pyarrow", "pycolmap", "scipy")
+    code = f"import panopath, panopath.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
