@@ -28,7 +28,11 @@ fn unique_worlds() -> Vec<(&'static str, WorldKind, WorldOptions)> {
     vec![
         ("box", WorldKind::Box, box_world.clone()),
         ("box seen in part", WorldKind::Box, WorldOptions { visible_fraction: Some(0.5), ..options(20, 60, 2) }),
-        ("box, short tracks", WorldKind::Box, WorldOptions { max_views: Some(3), min_views: Some(3), ..options(12, 90, 3) }),
+        (
+            "box, short tracks",
+            WorldKind::Box,
+            WorldOptions { max_views: Some(3), min_views: Some(3), ..options(12, 90, 3) },
+        ),
         ("street", WorldKind::Street, options(60, 800, 4)),
         ("room", WorldKind::Room, options(60, 600, 5)),
         ("corridor", WorldKind::Corridor, options(50, 600, 6)),
@@ -171,7 +175,9 @@ fn check_control<const D: usize>() {
                 let gauge = Gauge::Control(control);
                 let scene = solve(&world, &PositionOptions { gauge, ..o.clone() });
                 assert_eq!(scene.summary.status, Status::Converged);
-                for (found, truth) in scene.centers.iter().zip(&world.centers).chain(scene.points.iter().zip(&world.points)) {
+                for (found, truth) in
+                    scene.centers.iter().zip(&world.centers).chain(scene.points.iter().zip(&world.points))
+                {
                     let error = norm(&sub(found, &known_from_world.apply(truth)));
                     assert!(error < 1e-9 * 37.0, "d = {D}, rotation {rotation}, {views:?} {tracks:?}: {error}");
                 }
@@ -199,7 +205,8 @@ fn control_is_a_least_squares_fit_under_noise() {
     let all: Vec<u32> = (0..30).collect();
     let control = Control { views: known(&all, &world.centers, &Similarity::identity()), ..Control::default() };
     let scene = solve(&world, &PositionOptions { gauge: Gauge::Control(control), ..default() });
-    let rms = (scene.centers.iter().zip(&world.centers).map(|(a, b)| norm(&sub(a, b)).powi(2)).sum::<f64>() / 30.0).sqrt();
+    let rms =
+        (scene.centers.iter().zip(&world.centers).map(|(a, b)| norm(&sub(a, b)).powi(2)).sum::<f64>() / 30.0).sqrt();
     let fitted = world_errors(&scene, &world).camera_rms;
     assert!((rms / fitted - 1.0).abs() < 1e-6, "as placed {rms}, after another fit {fitted}");
 }
@@ -262,7 +269,8 @@ fn check_sigmas<const D: usize>(kind: WorldKind, o: &WorldOptions) {
     const SEEDS: u64 = 8;
     for seed in 0..SEEDS {
         let mut pick = Noise::new(1000 + seed);
-        let sigma: Vec<f64> = (0..world.tracks.len()).map(|_| NOISE * if pick.uniform() < 0.4 { 0.1 } else { 1.0 }).collect();
+        let sigma: Vec<f64> =
+            (0..world.tracks.len()).map(|_| NOISE * if pick.uniform() < 0.4 { 0.1 } else { 1.0 }).collect();
         let tracks = with_noise(&world, sigma, seed);
         let plain = Tracks::new(
             tracks.view().to_vec(),
@@ -280,8 +288,7 @@ fn check_sigmas<const D: usize>(kind: WorldKind, o: &WorldOptions) {
         // the estimate is that of an observation of median sigma
         sigma_ratio += scene.summary.sigma_rad / NOISE / SEEDS as f64;
         unweighted += world_errors(&solve_tracks(&plain, rotations, &default()), &world).camera_rms.powi(2);
-        let covariance =
-            position_covariance(&tracks, rotations, &world.centers, &world.points, 1.0, None).unwrap();
+        let covariance = position_covariance(&tracks, rotations, &world.centers, &world.points, 1.0, None).unwrap();
         bound += rms_of_covariance(&covariance).powi(2);
     }
     let (weighted, unweighted) = ((weighted / bound).sqrt(), (unweighted / bound).sqrt());
@@ -343,7 +350,10 @@ fn outliers_do_not_move_the_answer() {
         for seed in 0..3 {
             let o = random(WorldOptions { noise_rad: NOISE, outlier_fraction: fraction, ..options(60, 3000, seed) });
             check_robust::<3>(&format!("street with {fraction} outliers"), WorldKind::Street, &o);
-            let o = WorldOptions { seed, ..random(WorldOptions { noise_rad: NOISE, outlier_fraction: fraction, ..options(60, 2000, seed) }) };
+            let o = WorldOptions {
+                seed,
+                ..random(WorldOptions { noise_rad: NOISE, outlier_fraction: fraction, ..options(60, 2000, seed) })
+            };
             check_robust::<3>(&format!("room with {fraction} outliers"), WorldKind::Room, &o);
         }
     }
@@ -362,7 +372,12 @@ fn outliers_in_the_plane_do_not_move_the_answer() {
 #[test]
 fn movers_and_the_operator_do_not_move_the_answer() {
     for seed in 0..3 {
-        let o = random(WorldOptions { noise_rad: NOISE, mover_fraction: 0.1, operator_fraction: 0.05, ..options(60, 3000, seed) });
+        let o = random(WorldOptions {
+            noise_rad: NOISE,
+            mover_fraction: 0.1,
+            operator_fraction: 0.05,
+            ..options(60, 3000, seed)
+        });
         let world = simulate::<3>(WorldKind::Street, &o);
         let scene = solve(&world, &default());
         let (found, best) = (world_errors(&scene, &world), world_errors(&solve(&world, &from_truth(&world)), &world));
@@ -456,7 +471,11 @@ fn with_even_noise<const D: usize>(world: &World<D>, size_rad: f64) -> Tracks<D>
 }
 
 /// Summed squared angle of the observations for which `among` holds.
-fn squared_angles<const D: usize>(scene: &Structure<D>, tracks: &Tracks<D>, among: impl Fn(usize, usize) -> bool) -> f64 {
+fn squared_angles<const D: usize>(
+    scene: &Structure<D>,
+    tracks: &Tracks<D>,
+    among: impl Fn(usize, usize) -> bool,
+) -> f64 {
     let mut sum = 0.0;
     for o in 0..tracks.len() {
         let (i, j) = (tracks.view()[o] as usize, tracks.track()[o] as usize);
@@ -569,7 +588,10 @@ fn two_views_fix_each_other_in_space_but_not_in_the_plane() {
         for o in every_way() {
             let scene = solve_tracks(&see(&centers, &points, all_pairs(2, m)), None, &o);
             let status = scene.summary.status;
-            assert!(matches!(status, Status::Undetermined | Status::Ambiguous), "{m} points in the plane: {o:?} {status:?}");
+            assert!(
+                matches!(status, Status::Undetermined | Status::Ambiguous),
+                "{m} points in the plane: {o:?} {status:?}"
+            );
         }
     }
 }
@@ -656,7 +678,9 @@ fn of_two_contradicting_sightings_the_right_one_is_kept() {
 }
 
 /// A scene of six views and twenty points, with one more track whose bearings are given.
-fn with_odd_track(directions: impl Fn(usize, &Vector<3>) -> Option<Vector<3>>) -> (Vec<Vector<3>>, Vec<Vector<3>>, Tracks<3>) {
+fn with_odd_track(
+    directions: impl Fn(usize, &Vector<3>) -> Option<Vector<3>>,
+) -> (Vec<Vector<3>>, Vec<Vector<3>>, Tracks<3>) {
     let (centers, mut points) = (places(6, &[0.0; 3], 1.0, 1), places(20, &[0.0; 3], 2.0, 2));
     points.push([f64::NAN; 3]);
     let exact = see(&centers, &points[..20], all_pairs(6, 20));
@@ -722,11 +746,17 @@ fn a_camera_that_only_turned_is_not_called_determined() {
             let points = places(60, &[0.0; 3], 3.0, seed);
             let exact = see(&still, &points, all_pairs(12, 60));
             let mut noise = Noise::new(seed);
-            let bearing = exact.bearing().iter().map(|b| normalized(&add(b, &std::array::from_fn(|_| noise_rad * noise.normal()))));
+            let bearing = exact
+                .bearing()
+                .iter()
+                .map(|b| normalized(&add(b, &std::array::from_fn(|_| noise_rad * noise.normal()))));
             let tracks =
                 Tracks::new(exact.view().to_vec(), exact.track().to_vec(), bearing.collect(), None, 12, 60).unwrap();
             let status = solve_tracks(&tracks, None, &default()).summary.status;
-            assert!(matches!(status, Status::Ambiguous | Status::Undetermined), "noise {noise_rad}, seed {seed}: {status:?}");
+            assert!(
+                matches!(status, Status::Ambiguous | Status::Undetermined),
+                "noise {noise_rad}, seed {seed}: {status:?}"
+            );
         }
     }
 }
@@ -872,7 +902,11 @@ fn missing_centres_of_a_start_are_found_anew_or_refused() {
     let world = simulate::<3>(WorldKind::Box, &random(options(8, 40, 2)));
     let mut start = (world.centers.clone(), world.points.clone());
     start.0[3][1] = f64::NAN;
-    match solve_positions(&world.tracks, Some(&world.cam_from_world), &PositionOptions { start: Some(start), ..default() }) {
+    match solve_positions(
+        &world.tracks,
+        Some(&world.cam_from_world),
+        &PositionOptions { start: Some(start), ..default() },
+    ) {
         Ok(scene) => assert_exact(&scene, &world, "start without a centre"),
         Err(error) => assert_eq!(error.to_string(), "start: the centre of view 3 is not finite"),
     }
@@ -892,7 +926,10 @@ fn a_start_of_truth_stays_there_and_a_bad_start_is_no_panic() {
 
 #[test]
 fn too_few_iterations_are_said() {
-    let world = simulate::<3>(WorldKind::Street, &WorldOptions { noise_rad: NOISE, outlier_fraction: 0.2, ..options(40, 800, 2) });
+    let world = simulate::<3>(
+        WorldKind::Street,
+        &WorldOptions { noise_rad: NOISE, outlier_fraction: 0.2, ..options(40, 800, 2) },
+    );
     for max_iterations in [0, 1] {
         let scene = solve(&world, &PositionOptions { max_iterations, ..default() });
         assert_eq!(scene.summary.status, Status::MaxIterations);
@@ -938,7 +975,9 @@ fn arrays_that_make_no_tracks_are_named() {
         assert!(text(Tracks::new(vec![0, 1], vec![0, 0], vec![b[0], wrong], None, 2, 1)).contains("bearing[1]"));
     }
     for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(text(Tracks::new(vec![0, 1], vec![0, 0], b.clone(), Some(vec![1.0, wrong]), 2, 1)).contains("sigma_rad[1]"));
+        assert!(
+            text(Tracks::new(vec![0, 1], vec![0, 0], b.clone(), Some(vec![1.0, wrong]), 2, 1)).contains("sigma_rad[1]")
+        );
     }
 }
 
@@ -952,7 +991,12 @@ fn noisy_world<const D: usize>(seed: u64) -> World<D> {
     simulate::<D>(WorldKind::Room, &o)
 }
 
-fn rebuilt<const D: usize>(t: &Tracks<D>, order: &[usize], view: impl Fn(u32) -> u32, track: impl Fn(u32) -> u32) -> Tracks<D> {
+fn rebuilt<const D: usize>(
+    t: &Tracks<D>,
+    order: &[usize],
+    view: impl Fn(u32) -> u32,
+    track: impl Fn(u32) -> u32,
+) -> Tracks<D> {
     Tracks::new(
         order.iter().map(|&o| view(t.view()[o])).collect(),
         order.iter().map(|&o| track(t.track()[o])).collect(),
@@ -1015,8 +1059,7 @@ fn check_turn_does_not_matter<const D: usize>(seed: u64, rotation: &Rotation<D>)
     let t = &world.tracks;
     let reference = solve_tracks(t, None, &default());
     let bearing: Vec<Vector<D>> = t.bearing().iter().map(|b| rotation.apply(b)).collect();
-    let turned =
-        Tracks::new(t.view().to_vec(), t.track().to_vec(), bearing, None, t.n_views(), t.n_tracks()).unwrap();
+    let turned = Tracks::new(t.view().to_vec(), t.track().to_vec(), bearing, None, t.n_views(), t.n_tracks()).unwrap();
     let scene = solve_tracks(&turned, None, &default());
     assert_same(&reference, &scene, |i| i, |j| j, |x| rotation.apply(x));
     // the same said by orientations: cameras turned against the world
@@ -1118,7 +1161,11 @@ fn the_same_bytes_come_out_on_one_thread_or_many() {
             let one = run(1);
             for threads in [1, 2, 3] {
                 let other = run(threads);
-                assert!(bits(&one) == bits(&other), "{} {method:?} {linear_solver:?} on {threads} threads", kind.name());
+                assert!(
+                    bits(&one) == bits(&other),
+                    "{} {method:?} {linear_solver:?} on {threads} threads",
+                    kind.name()
+                );
                 assert_eq!((&one.inlier, &one.view_component), (&other.inlier, &other.view_component));
             }
         }

@@ -146,7 +146,8 @@ pub fn errors<const D: usize>(
     let size = path_size(&pairs.iter().map(|p| p.1).collect::<Vec<_>>());
     let middle = pairs.iter().fold([0.0; D], |sum, p| add(&sum, &scale(1.0 / pairs.len() as f64, &p.1)));
     let error = |p: &(Vector<D>, Vector<D>)| norm(&sub(&fit.apply(&p.0), &p.1));
-    let worst = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |a: f64, b| if b > a || b.is_nan() { b } else { a });
+    let worst =
+        |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |a: f64, b| if b > a || b.is_nan() { b } else { a });
     Errors {
         n_views: cameras.len(),
         n_points: points.len(),
