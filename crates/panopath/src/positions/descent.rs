@@ -37,6 +37,8 @@ pub(super) const SIGMA_FLOOR_RAD: f64 = 1e-9;
 
 /// Observations farther than this many sigma from their prediction are outliers.
 pub(super) const OUTLIER_SIGMAS: f64 = 5.0;
+/// The same before the first descent: the cameras still err by more than the noise, most of all as seen from near points.
+pub(super) const FIRST_OUTLIER_SIGMAS: f64 = 20.0;
 /// Share of degrees of freedom below which the noise estimate is not corrected any further.
 const LEAST_FREEDOM: f64 = 0.05;
 /// Huber's threshold in sigma.
@@ -53,6 +55,16 @@ impl<'a, const D: usize> NewtonWeights<'a, D> {
     /// Weights at an estimate for the observations in `keep`, Huber's threshold at its multiple of `sigma`.
     pub fn new(part: &'a Part<D>, estimate: &'a Estimate, keep: &'a [bool], sigma: f64) -> Self {
         Self { part, estimate, keep, huber: HUBER_SIGMAS * sigma }
+    }
+
+    /// The estimate at which the weights are taken.
+    pub fn estimate(&self) -> &'a Estimate {
+        self.estimate
+    }
+
+    /// Which observations count.
+    pub fn keep(&self) -> &'a [bool] {
+        self.keep
     }
 
     /// Huber's threshold, in radians at the reference sigma.
@@ -292,6 +304,19 @@ fn point_model<const D: usize>(
     Some(PointModel { factor: PointFactor::new(weight_sum, &outer, damping, &axis), gradient, axis, depth_share })
 }
 
+/// How a point follows small displacements of the centres; `None` where nothing of it is kept.
+pub(super) fn point_displacement<const D: usize>(
+    part: &Part<D>,
+    j: usize,
+    weights: &NewtonWeights<'_, D>,
+    displacement: &[Lanes],
+) -> Option<Lanes> {
+    let Estimate { centers, points } = weights.estimate;
+    let still = point_model(part, j, weights, &points[j], centers, None, FIRST_DAMPING)?;
+    let moved = point_model(part, j, weights, &points[j], centers, Some(displacement), FIRST_DAMPING)?;
+    Some(still.factor.solve(&moved.gradient.minus(&still.gradient)))
+}
+
 #[inline(always)]
 fn unit<const D: usize>(u: &Lanes) -> Lanes {
     u.times(1.0 / u.dot::<D>(u).sqrt().max(f64::MIN_POSITIVE))
@@ -468,9 +493,8 @@ pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among:
     (median(&mut sample) / (median_over_sigma(D) * freedom.sqrt())).max(SIGMA_FLOOR_RAD)
 }
 
-/// Observations within [`OUTLIER_SIGMAS`] of their prediction, of points that keep at least two views.
-pub(super) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], sigma: f64) -> Vec<bool> {
-    let limit = OUTLIER_SIGMAS * sigma;
+/// Observations within a limit of their prediction, of points that keep at least two views.
+pub(super) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], limit: f64) -> Vec<bool> {
     let mut keep: Vec<bool> = chords.iter().map(|&e| e < limit).collect();
     for j in 0..part.n_tracks() {
         let mut views = part.observations(j).filter(|&o| keep[o]).map(|o| part.view[o]);

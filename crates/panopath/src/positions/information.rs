@@ -4,16 +4,18 @@
 //! with the points eliminated. Its inverse, in the gauge of a fit by translation and scale over the cameras, bounds the
 //! covariance of any unbiased estimate (Cramer and Rao).
 
-use super::descent::NewtonWeights;
+use super::descent::{NewtonWeights, point_displacement};
 use super::options::PositionError;
 use super::part::{Lanes, Part};
 use super::reduced::{Damping, LinearSolver, ReducedSystem};
-use super::start::{Estimate, normalise};
+use super::start::{Estimate, for_each_chunk, normalise};
 use super::{Rays, lay_out};
 use crate::geometry::{Matrix, Rotation, Vector};
 use crate::least_squares::LeastSquaresError;
 use crate::tracks::Tracks;
 
+/// An exact ambiguity seen through noise is this many times stiffer than expected, at most.
+const NOISE_MULTIPLE: f64 = 5.0;
 /// Relative damping that keeps exact gauge freedoms factorisable.
 const GUARD: f64 = 1e-12;
 /// A mode whose movement at one standard deviation exceeds this share of the rms size of the path is not determined.
@@ -25,53 +27,119 @@ const INVERSE_ITERATIONS: usize = 6;
 /// Right-hand sides solved together when the covariance is formed.
 const BLOCK_OF_SOLVES: usize = 48;
 
-/// Assembles the information at an estimate, in units of `1/sigma^2`, from the observations in `keep`.
+/// Assembles and factorises the information at an estimate, in units of `1/sigma^2`.
 pub(super) fn assemble_information<const D: usize>(
     part: &Part<D>,
     system: &mut ReducedSystem<D>,
-    estimate: &Estimate,
-    keep: &[bool],
-    sigma: f64,
-) {
-    let weights = NewtonWeights::new(part, estimate, keep, sigma);
-    system.assemble(part, &weights, Damping { point: GUARD, view: GUARD });
+    weights: &NewtonWeights<'_, D>,
+) -> Result<(), LeastSquaresError> {
+    system.assemble(part, weights, Damping { point: GUARD, view: GUARD });
+    system.factorise()
 }
 
-/// Does the weakest mode beyond the gauge move by a large share of the path at one standard deviation? Uses the system as
-/// it was factorised last, and finds the mode by inverse iteration.
+/// Is the weakest mode beyond the gauge undetermined? Uses the system as it was assembled and factorised last, by
+/// [`assemble_information`] at this estimate.
+///
+/// The mode, found by inverse iteration, is loose where
+/// - fewer equations than unknowns were kept;
+/// - it moves by a large share of the path at one standard deviation;
+/// - it is held by the guard's damping alone;
+/// - its stiffness is no more than noise gives to an exact ambiguity: a deformation that stretches the segment of
+///   observation `(i, j)` by `lambda_ij` turns it, at positions that err by the noise, by about `sigma lambda_ij`, so
+///   that its squared error is `(d - 1) sum (lambda_ij - mean_j)^2` in units of sigma. (The mean over a track is taken
+///   off, since a scale of its own leaves the directions of one track exact.)
 pub(super) fn weakest_mode_is_loose<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
-    estimate: &Estimate,
+    system: &ReducedSystem<D>,
+    weights: &NewtonWeights<'_, D>,
     sigma: f64,
 ) -> Result<bool, LeastSquaresError> {
-    if part.n_views < 2 {
+    let kept = weights.keep().iter().filter(|&&k| k).count();
+    let points = (0..part.n_tracks()).filter(|&j| part.observations(j).any(|o| weights.keep()[o])).count();
+    if part.n_views < 2 || (D - 1) * kept + D + 1 < D * (part.n_views + points) {
         return Ok(true);
     }
+    let Some(mode) = weakest_mode(part, system, weights.estimate())? else { return Ok(false) };
+    let stretch = stretch_of(part, weights, &mode.displacement);
+    let movement = sigma * (mode.stiffness * part.n_views as f64).powf(-0.5);
+    let from_guard = mode.stiffness < GUARD_MULTIPLE * mode.guard;
+    let from_noise = stretch.turned < NOISE_MULTIPLE * (D - 1) as f64 * sigma * sigma * stretch.spread;
+    Ok(movement.is_nan() || movement > LOOSE_MOVEMENT || from_guard || from_noise)
+}
+
+/// A displacement of all centres, free of gauge and of unit length.
+struct Mode {
+    displacement: Vec<Lanes>,
+    /// Squared error that the displacement costs, points following.
+    stiffness: f64,
+    /// The guard's share of it.
+    guard: f64,
+}
+
+/// The weakest mode, by inverse iteration; `None` where the gauge is all there is.
+fn weakest_mode<const D: usize>(
+    part: &Part<D>,
+    system: &ReducedSystem<D>,
+    estimate: &Estimate,
+) -> Result<Option<Mode>, LeastSquaresError> {
     let gauge = GaugeBasis::<D>::new(&estimate.centers);
     let pinned = system.pinned();
     let diagonal: Vec<f64> = system.diagonal().iter().flat_map(|d| d.vector::<D>()).collect();
     // any start with a share of every mode will do; this one is the same on every run
     let mut mode: Vec<f64> = (0..part.n_views * D).map(|k| (1.0 + 2.3 * k as f64).sin()).collect();
-    gauge.remove(&mut mode);
-    let (mut movement, mut from_guard) = (0.0, false);
+    let (mut stiffness, mut guard) = (f64::NAN, f64::NAN);
     for _ in 0..INVERSE_ITERATIONS {
+        gauge.remove(&mut mode);
         let length = dot_product(&mode, &mode).sqrt();
-        if length.is_nan() || length <= 0.0 {
-            return Ok(length.is_nan());
+        if length <= 0.0 {
+            return Ok(None);
         }
         mode.iter_mut().for_each(|x| *x /= length);
         let pushed = mode.clone();
         mode[pinned * D..(pinned + 1) * D].fill(0.0);
         system.solve_for(&mut mode, 1)?;
-        let stiffness = dot_product(&mode, &pushed);
-        let guard: f64 = mode.iter().zip(&diagonal).map(|(x, d)| GUARD * d * x * x).sum();
+        let energy = dot_product(&mode, &pushed);
+        let held: f64 = mode.iter().zip(&diagonal).map(|(x, d)| GUARD * d * x * x).sum();
         gauge.remove(&mut mode);
         let squared = dot_product(&mode, &mode);
-        movement = sigma * (squared / stiffness / part.n_views as f64).sqrt();
-        from_guard = stiffness < GUARD_MULTIPLE * guard;
+        (stiffness, guard) = (energy / squared, held / squared);
     }
-    Ok(movement.is_nan() || movement > LOOSE_MOVEMENT || from_guard)
+    let length = dot_product(&mode, &mode).sqrt();
+    let displacement = mode.chunks_exact(D).map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[c] / length)));
+    Ok(Some(Mode { displacement: displacement.collect(), stiffness, guard }))
+}
+
+/// What a displacement of the centres does to the kept observations, points following.
+struct Stretch {
+    /// Sum of squared turns of the segments.
+    turned: f64,
+    /// Sum of squared stretch rates, less the mean of each track.
+    spread: f64,
+}
+
+fn stretch_of<const D: usize>(part: &Part<D>, weights: &NewtonWeights<'_, D>, displacement: &[Lanes]) -> Stretch {
+    let estimate = weights.estimate();
+    let mut per_track = vec![(0.0, 0.0); part.n_tracks()];
+    for_each_chunk(part, &mut per_track, |tracks, out| {
+        for (j, sums) in tracks.zip(out) {
+            let Some(follow) = point_displacement(part, j, weights, displacement) else { continue };
+            let (mut rates, mut turned) = (Vec::new(), 0.0);
+            for o in part.observations(j).filter(|&o| weights.keep()[o]) {
+                let view = part.view[o] as usize;
+                let u = estimate.points[j].minus(&estimate.centers[view]);
+                let du = follow.minus(&displacement[view]);
+                let squared = u.dot::<D>(&u).max(f64::MIN_POSITIVE);
+                let rate = u.dot::<D>(&du) / squared;
+                let across = du.plus_scaled(-rate, &u);
+                turned += across.dot::<D>(&across) / squared * part.ray[o].0[3];
+                rates.push(rate);
+            }
+            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+            *sums = (turned, rates.iter().map(|r| (r - mean).powi(2)).sum());
+        }
+    });
+    let (turned, spread) = per_track.into_iter().fold((0.0, 0.0), |(t, s), (turned, spread)| (t + turned, s + spread));
+    Stretch { turned, spread }
 }
 
 /// Translations and the scale of a set of centres, orthonormal.
@@ -156,8 +224,7 @@ pub fn position_covariance<const D: usize>(
     let kept: Vec<bool> = part.input_observation.iter().map(|&o| counts[o as usize]).collect();
     let reference = tracks.sigma_rad().map_or(sigma_rad, |s| super::start::median(&mut s.to_vec()));
     let mut system = ReducedSystem::analyse(&part, LinearSolver::Direct)?;
-    assemble_information(&part, &mut system, &estimate, &kept, f64::INFINITY);
-    system.factorise()?;
+    assemble_information(&part, &mut system, &NewtonWeights::new(&part, &estimate, &kept, f64::INFINITY))?;
     let gauge = GaugeBasis::<D>::new(&estimate.centers);
     let blocks = diagonal_blocks_of_inverse(&system, &gauge, part.n_views)?;
     for (&view, block) in views.iter().zip(blocks) {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::descent::{Effort, chords, descend, inliers, noise_scale};
+use super::descent::{Effort, NewtonWeights, FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale};
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
@@ -29,8 +29,36 @@ pub(super) struct PartSolution {
     pub status: Status,
 }
 
+impl PartSolution {
+    /// What singular equations leave: an answer, though an empty one.
+    fn nothing<const D: usize>(part: &Part<D>) -> Self {
+        let n = part.n_observations();
+        Self {
+            estimate: Estimate::nowhere(part),
+            inlier: vec![false; n],
+            chord: vec![f64::NAN; n],
+            sigma: f64::NAN,
+            iterations: 0,
+            status: Status::Ambiguous,
+        }
+    }
+}
+
 /// Solves one part. `start` replaces the linear start.
 pub(super) fn solve_part<const D: usize>(
+    part: &Part<D>,
+    start: Option<Estimate>,
+    solver: LinearSolver,
+    max_iterations: usize,
+    timings: &mut Timings,
+) -> Result<PartSolution, LeastSquaresError> {
+    match solve_regular_part(part, start, solver, max_iterations, timings) {
+        Err(LeastSquaresError::Singular { .. }) => Ok(PartSolution::nothing(part)),
+        other => other,
+    }
+}
+
+fn solve_regular_part<const D: usize>(
     part: &Part<D>,
     start: Option<Estimate>,
     solver: LinearSolver,
@@ -55,9 +83,9 @@ pub(super) fn solve_part<const D: usize>(
     let clock = Instant::now();
     let errors = chords(part, &estimate);
     let mut sigma = noise_scale(part, &errors, |_| true);
-    let mut inlier = inliers(part, &errors, sigma);
+    let mut inlier = inliers(part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
     let mut effort = Effort::rough(max_iterations, part.n_observations());
-    let (converged, nothing_near) = loop {
+    let (converged, loose) = loop {
         let parallel = without_parallax(part, &inlier, sigma);
         let active = without_tracks(part, &inlier, &parallel.left_out);
         let descent = descend(part, &mut system, &mut estimate, &active, sigma, effort)?;
@@ -65,14 +93,13 @@ pub(super) fn solve_part<const D: usize>(
         sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
         inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
         if effort.is_full() {
-            assemble_information(part, &mut system, &estimate, &active, sigma);
-            system.factorise()?;
-            break (descent.converged, parallel.everything);
+            let weights = NewtonWeights::new(part, &estimate, &active, sigma);
+            let loose = parallel.everything || is_loose(part, &mut system, &weights, sigma)?;
+            break (descent.converged, loose);
         }
         effort = Effort::full(max_iterations);
     };
     let chord = chords(part, &estimate);
-    let loose = nothing_near || sigma > MEANINGLESS_RAD || weakest_mode_is_loose(part, &mut system, &estimate, sigma)?;
     let status = match (converged, loose) {
         (_, true) => Status::Ambiguous,
         (true, false) => Status::Converged,
@@ -90,25 +117,35 @@ pub(super) fn solve_part_linearly<const D: usize>(
     timings: &mut Timings,
 ) -> Result<PartSolution, LeastSquaresError> {
     let clock = Instant::now();
-    let (mut estimate, mut status) = match solve_linear(part, form, gauge) {
-        Ok(estimate) => (estimate, Status::Converged),
-        Err(LeastSquaresError::Singular { .. }) => (Estimate::nowhere(part), Status::Ambiguous),
-        Err(error) => return Err(error),
+    let mut estimate = match solve_linear(part, form, gauge) {
+        Err(LeastSquaresError::Singular { .. }) => return Ok(PartSolution::nothing(part)),
+        other => other?,
     };
     scale_to_unit(&mut estimate);
     let chord = chords(part, &estimate);
     let sigma = noise_scale(part, &chord, |_| true);
-    let inlier = inliers(part, &chord, sigma);
-    if status == Status::Converged {
-        let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
-        assemble_information(part, &mut system, &estimate, &inlier, sigma);
-        system.factorise()?;
-        if weakest_mode_is_loose(part, &mut system, &estimate, sigma)? {
-            status = Status::Ambiguous;
-        }
-    }
+    let inlier = inliers(part, &chord, OUTLIER_SIGMAS * sigma);
+    let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
+    let loose = is_loose(part, &mut system, &NewtonWeights::new(part, &estimate, &inlier, sigma), sigma)?;
+    let status = if loose { Status::Ambiguous } else { Status::Converged };
     timings.start_s += clock.elapsed().as_secs_f64();
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations: 1, status })
+}
+
+/// Does the geometry leave a freedom beyond the gauge, as far as the noise lets one tell?
+fn is_loose<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    weights: &NewtonWeights<'_, D>,
+    sigma: f64,
+) -> Result<bool, LeastSquaresError> {
+    if sigma.is_nan() || sigma > MEANINGLESS_RAD {
+        return Ok(true);
+    }
+    match assemble_information(part, system, weights) {
+        Err(LeastSquaresError::Singular { .. }) => Ok(true),
+        other => other.and_then(|()| weakest_mode_is_loose(part, system, weights, sigma)),
+    }
 }
 
 /// The kept observations less those of some tracks.
