@@ -57,15 +57,18 @@ fn check_similarity<const D: usize>(seed: u64) {
     let a = places::<D>(D + 2, &[0.5; D], 2.0, seed);
     let pairs: Vec<_> = a.iter().map(|x| (*x, truth.apply(x))).collect();
     let fit = Similarity::fit(&pairs).unwrap();
-    assert!((fit.scale / truth.scale - 1.0).abs() < 1e-10);
-    assert!(distance(&fit.rotation, &truth.rotation) < 1e-10);
+    let lost = 1.0 + norm(&truth.translation) / truth.scale;
+    assert!((fit.scale / truth.scale - 1.0).abs() < 1e-13 * lost);
+    assert!(distance(&fit.rotation, &truth.rotation) < 1e-12 * lost);
     for (x, y) in &pairs {
         assert!(norm(&sub(&fit.apply(x), y)) < 1e-10 * (1.0 + norm(y)));
     }
     let straight = Similarity { rotation: Rotation::identity(), ..truth };
     let pairs: Vec<_> = a.iter().map(|x| (*x, straight.apply(x))).collect();
     let fit = Similarity::fit_unrotated(&pairs).unwrap();
-    assert!((fit.scale / truth.scale - 1.0).abs() < 1e-12);
+    // centred differences of places far from the origin lose digits in proportion
+    let lost = 1.0 + norm(&truth.translation) / truth.scale;
+    assert!((fit.scale / truth.scale - 1.0).abs() < 1e-14 * lost * 10.0);
     assert!(norm(&sub(&fit.translation, &truth.translation)) < 1e-11 * (1.0 + norm(&truth.translation) + truth.scale));
 }
 

@@ -522,8 +522,8 @@ fn check_minimum<const D: usize>(kind: WorldKind, o: &WorldOptions) {
 
 #[test]
 fn the_answer_minimises_the_squared_angles() {
-    check_minimum::<3>(WorldKind::Box, &random(options(8, 40, 1)));
-    check_minimum::<2>(WorldKind::Box, &random(options(8, 40, 1)));
+    check_minimum::<3>(WorldKind::Street, &random(WorldOptions { min_views: Some(4), depth_max_m: Some(20.0), ..options(25, 250, 1) }));
+    check_minimum::<2>(WorldKind::Corridor, &random(WorldOptions { min_views: Some(6), ..options(20, 200, 1) }));
     check_minimum::<3>(WorldKind::Room, &random(options(25, 200, 2)));
     check_minimum::<2>(WorldKind::Room, &random(options(25, 200, 2)));
 }
@@ -1008,7 +1008,7 @@ fn rebuilt<const D: usize>(
     .unwrap()
 }
 
-/// Two answers are one: same members, same inliers, centres within a thousandth of what noise does to them.
+/// Two answers are one: same members, same inliers, centres within a hundredth of what noise does to them.
 fn assert_same<const D: usize>(
     one: &Structure<D>,
     other: &Structure<D>,
@@ -1017,7 +1017,7 @@ fn assert_same<const D: usize>(
     turned: impl Fn(&Vector<D>) -> Vector<D>,
 ) {
     /// The noise moves a centre by some 1e-3 of the path's size.
-    const TOLERANCE: f64 = 1e-6;
+    const TOLERANCE: f64 = 1e-5;
     assert_eq!(one.summary.status, other.summary.status);
     assert_eq!(one.summary.n_components, other.summary.n_components);
     for i in 0..one.centers.len() {
