@@ -124,7 +124,7 @@ def test_any_subset_of_observations_is_answered(seed: int, keep: float, d: Liter
     chosen[0] = True
     fewer = pp.Tracks.from_arrays(t.view[chosen], t.track[chosen], t.bearing[chosen], t.n_views, t.n_tracks)
     for method in ("robust", "linear"):
-        scene = pp.solve_positions(fewer, None, pp.PositionOptions(method=method))  # type: ignore[arg-type]
+        scene = pp.solve_positions(fewer, None, pp.PositionOptions(method=method))
         np.testing.assert_array_equal(np.isnan(scene.centers).any(axis=1), scene.view_component < 0)
         np.testing.assert_array_equal(np.isnan(scene.points).any(axis=1), scene.track_component < 0)
         assert (scene.summary.n_components == 0) == (scene.summary.status is pp.Status.UNDETERMINED)

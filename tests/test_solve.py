@@ -1,4 +1,4 @@
-"""Solving through Python: gauges and methods, noise against the bound, degenerate input, errors, the records' promises."""
+"""Solving through Python: gauges, methods, noise against the bound, degenerate input, errors, what records promise."""
 
 from __future__ import annotations
 
@@ -184,7 +184,9 @@ def test_covariance_equals_the_dense_one(name: str, dimension: Literal[2, 3]) ->
     np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
     # without sigma a standard deviation of one radian is meant
     found = pp.position_covariance(t, (world.centers, world.points), world.cam_from_world)
-    np.testing.assert_allclose(found, dense_covariance(world, np.ones(len(t))), rtol=1e-4, atol=1e-6 * np.abs(found).max())
+    np.testing.assert_allclose(
+        found, dense_covariance(world, np.ones(len(t))), rtol=1e-4, atol=1e-6 * np.abs(found).max()
+    )
 
 
 def test_noise_is_averaged_down_to_the_bound_and_estimated() -> None:

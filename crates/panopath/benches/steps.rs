@@ -80,7 +80,10 @@ fn parts(c: &mut Criterion) {
         let world = simulate::<3>(WorldKind::Weak, &o).unwrap();
         let scene = solve_positions(&world.tracks, None, &PositionOptions::default()).unwrap();
         let found = scene.summary.n_components;
-        eprintln!("parts/{n_clusters}: {found} parts found of {n_clusters}, layout {:.1} ms", 1e3 * scene.summary.timings.layout_s);
+        eprintln!(
+            "parts/{n_clusters}: {found} parts found of {n_clusters}, layout {:.1} ms",
+            1e3 * scene.summary.timings.layout_s
+        );
         group.throughput(Throughput::Elements(world.tracks.len() as u64));
         group.bench_function(BenchmarkId::from_parameter(n_clusters), |b| {
             b.iter(|| solve_positions(black_box(&world.tracks), None, &PositionOptions::default()).unwrap());

@@ -200,8 +200,7 @@ fn a_large_factorisation_has_the_same_bytes_on_any_number_of_threads() {
     let run = |threads: usize| -> Vec<u64> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut cholesky =
-                SparseCholesky::analyse::<3>(&pattern, &minimum_degree::<3>(&pattern).unwrap()).unwrap();
+            let mut cholesky = SparseCholesky::analyse::<3>(&pattern, &minimum_degree::<3>(&pattern).unwrap()).unwrap();
             cholesky.factorise(&values).unwrap();
             let mut x = right.clone();
             cholesky.solve(&mut x, 1).unwrap();

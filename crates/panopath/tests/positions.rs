@@ -522,7 +522,10 @@ fn check_minimum<const D: usize>(kind: WorldKind, o: &WorldOptions) {
 
 #[test]
 fn the_answer_minimises_the_squared_angles() {
-    check_minimum::<3>(WorldKind::Street, &random(WorldOptions { min_views: Some(4), depth_max_m: Some(20.0), ..options(25, 250, 1) }));
+    check_minimum::<3>(
+        WorldKind::Street,
+        &random(WorldOptions { min_views: Some(4), depth_max_m: Some(20.0), ..options(25, 250, 1) }),
+    );
     check_minimum::<2>(WorldKind::Corridor, &random(WorldOptions { min_views: Some(6), ..options(20, 200, 1) }));
     check_minimum::<3>(WorldKind::Room, &random(options(25, 200, 2)));
     check_minimum::<2>(WorldKind::Room, &random(options(25, 200, 2)));
