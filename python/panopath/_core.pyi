@@ -6,6 +6,31 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "__version__",
+    "bearings_from_circular",
+    "bearings_from_compass",
+    "bearings_from_cylindrical",
+    "bearings_from_equirectangular",
+    "bearings_from_perspective",
+    "bearings_from_planar_compass",
+    "bearings_from_spherical",
+    "circular_from_bearings",
+    "compass_from_bearings",
+    "cylindrical_from_bearings",
+    "equirectangular_from_bearings",
+    "natural_order",
+    "perspective_from_bearings",
+    "planar_compass_from_bearings",
+    "position_covariance",
+    "read_numbers",
+    "read_table",
+    "simulate",
+    "solve_positions",
+    "spherical_from_bearings",
+    "vertical_field_of_view",
+]
+
 __version__: str
 
 def solve_positions(

@@ -253,11 +253,15 @@ fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(Positi
             "linear_gauge" => linear_gauge = value.extract()?,
             "gauge" => gauge = value.extract()?,
             "linear_solver" => {
-                parsed.linear_solver = choose("linear_solver", &value.extract::<String>()?, &[
-                    ("auto", LinearSolver::Auto),
-                    ("direct", LinearSolver::Direct),
-                    ("iterative", LinearSolver::Iterative),
-                ])?;
+                parsed.linear_solver = choose(
+                    "linear_solver",
+                    &value.extract::<String>()?,
+                    &[
+                        ("auto", LinearSolver::Auto),
+                        ("direct", LinearSolver::Direct),
+                        ("iterative", LinearSolver::Iterative),
+                    ],
+                )?;
             }
             "split_parts" => parsed.split_parts = value.extract()?,
             "max_iterations" => parsed.max_iterations = value.extract()?,
@@ -272,27 +276,37 @@ fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(Positi
     }
     control.views = pair("control_view_positions", &known.views, known.view_positions)?;
     control.tracks = pair("control_track_positions", &known.tracks, known.track_positions)?;
-    let form = choose("linear_form", &form, &[
-        ("joint", LinearForm::Joint),
-        ("two_stage", LinearForm::TwoStage { vertical_axis: axis }),
-    ])?;
-    let linear_gauge = choose("linear_gauge", &linear_gauge, &[
-        ("functional", LinearGauge::Functional),
-        ("paper", LinearGauge::Paper),
-        ("paper_distance", LinearGauge::PaperDistance),
-    ])?;
+    let form = choose(
+        "linear_form",
+        &form,
+        &[("joint", LinearForm::Joint), ("two_stage", LinearForm::TwoStage { vertical_axis: axis })],
+    )?;
+    let linear_gauge = choose(
+        "linear_gauge",
+        &linear_gauge,
+        &[
+            ("functional", LinearGauge::Functional),
+            ("paper", LinearGauge::Paper),
+            ("paper_distance", LinearGauge::PaperDistance),
+        ],
+    )?;
     // the plane has a single form, whatever was asked for
     let form = if D == 2 { LinearForm::Joint } else { form };
-    parsed.method = choose("method", &method, &[
-        ("robust", Method::Robust),
-        ("linear", Method::Linear { form, gauge: linear_gauge }),
-    ])?;
-    parsed.gauge = choose("gauge", &gauge, &[
-        ("normalized", Gauge::Normalized),
-        ("paper", Gauge::Paper),
-        ("paper_distance", Gauge::PaperDistance),
-        ("control", Gauge::Control(control)),
-    ])?;
+    parsed.method = choose(
+        "method",
+        &method,
+        &[("robust", Method::Robust), ("linear", Method::Linear { form, gauge: linear_gauge })],
+    )?;
+    parsed.gauge = choose(
+        "gauge",
+        &gauge,
+        &[
+            ("normalized", Gauge::Normalized),
+            ("paper", Gauge::Paper),
+            ("paper_distance", Gauge::PaperDistance),
+            ("control", Gauge::Control(control)),
+        ],
+    )?;
     Ok((parsed, threads))
 }
 

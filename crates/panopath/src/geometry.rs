@@ -253,7 +253,7 @@ impl<const D: usize> Similarity<D> {
 
 fn centroids<const D: usize>(pairs: &[(Vector<D>, Vector<D>)]) -> (Vector<D>, Vector<D>) {
     let share = 1.0 / pairs.len().max(1) as f64;
-    pairs.iter().fold(([0.0; D], [0.0; D]), |(from, to), (a, b)| {
-        (add(&from, &scale(share, a)), add(&to, &scale(share, b)))
-    })
+    pairs
+        .iter()
+        .fold(([0.0; D], [0.0; D]), |(from, to), (a, b)| (add(&from, &scale(share, a)), add(&to, &scale(share, b))))
 }

@@ -12,8 +12,10 @@ use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use crate::geometry::{Matrix, Rotation, Vector};
 use faer::{Conj, MatMut, Par, Side};
+use rayon::prelude::*;
+
+use crate::geometry::{Matrix, Rotation, Vector};
 
 /// Why a system could not be solved.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -212,6 +214,212 @@ pub fn scalar_slots<const D: usize>(pattern: &BlockPattern, node: usize, k: usiz
     before_node + before_column + within
 }
 
+/// Which linear solver to use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LinearSolver {
+    /// The one with the lower predicted cost.
+    #[default]
+    Auto,
+    /// Sparse Cholesky.
+    Direct,
+    /// Conjugate gradients, preconditioned by the diagonal blocks.
+    Iterative,
+}
+
+/// A symmetric positive definite system of `D x D` blocks, solved directly or by conjugate gradients.
+pub struct BlockSolver<const D: usize> {
+    method: SolverMethod<D>,
+}
+
+enum SolverMethod<const D: usize> {
+    Direct(Box<SparseCholesky>),
+    Iterative(BlockProduct<D>),
+}
+
+/// Residual at which conjugate gradients stop, relative to the right-hand side in the preconditioner's metric. An outer
+/// iteration corrects what is left.
+const GRADIENT_TOLERANCE: f64 = 1e-6;
+/// Products after which they give up, for each unknown.
+const PRODUCTS_PER_UNKNOWN: usize = 4;
+
+impl<const D: usize> BlockSolver<D> {
+    /// Orders and analyses the pattern, and chooses the method.
+    ///
+    /// # Errors
+    /// [`LeastSquaresError::TooLarge`].
+    pub fn analyse(pattern: &BlockPattern, solver: LinearSolver) -> Result<Self, LeastSquaresError> {
+        let ordering = minimum_degree::<D>(pattern)?;
+        let iterative = match solver {
+            LinearSolver::Direct => false,
+            LinearSolver::Iterative => true,
+            LinearSolver::Auto => ordering.factor_flops > iterative_flops::<D>(pattern),
+        };
+        let method = if iterative {
+            SolverMethod::Iterative(BlockProduct::new(pattern))
+        } else {
+            SolverMethod::Direct(Box::new(SparseCholesky::analyse::<D>(pattern, &ordering)?))
+        };
+        Ok(Self { method })
+    }
+
+    /// Takes these lower-triangle values, in the order of [`scalar_slots`].
+    ///
+    /// # Errors
+    /// [`LeastSquaresError::Singular`] where the matrix is not positive definite.
+    pub fn factorise(&mut self, pattern: &BlockPattern, values: &[f64]) -> Result<(), LeastSquaresError> {
+        match &mut self.method {
+            SolverMethod::Direct(cholesky) => cholesky.factorise(values),
+            SolverMethod::Iterative(product) => product.load(pattern, values),
+        }
+    }
+
+    /// Solves in place for right-hand sides stored one after the other.
+    ///
+    /// # Errors
+    /// [`LeastSquaresError`] where the work space cannot be had or conjugate gradients do not converge.
+    pub fn solve(&self, right: &mut [f64], n_right: usize) -> Result<(), LeastSquaresError> {
+        match &self.method {
+            SolverMethod::Direct(cholesky) => cholesky.solve(right, n_right),
+            SolverMethod::Iterative(product) => {
+                let n = right.len() / n_right.max(1);
+                right.chunks_exact_mut(n).try_for_each(|side| product.solve(side))
+            }
+        }
+    }
+}
+
+/// Flops of a direct factorisation that cost as much time as conjugate gradients would, predicted.
+fn iterative_flops<const D: usize>(pattern: &BlockPattern) -> f64 {
+    const EXPECTED_PRODUCTS: f64 = 300.0;
+    // a product runs at the speed of memory, many times slower per flop than the dense kernels of a factorisation
+    const SLOWDOWN: f64 = 10.0;
+    SLOWDOWN * EXPECTED_PRODUCTS * 4.0 * (pattern.row.len() * D * D) as f64
+}
+
+/// The matrix by block rows, both triangles, with the inverses of its diagonal blocks.
+struct BlockProduct<const D: usize> {
+    start: Vec<u32>,
+    /// Other node and block of each entry of a row.
+    entry: Vec<(u32, u32)>,
+    /// Blocks of the lower triangle; an entry beyond the diagonal reads its block transposed.
+    block: Vec<Matrix<D>>,
+    inverse: Vec<Matrix<D>>,
+}
+
+impl<const D: usize> BlockProduct<D> {
+    fn new(pattern: &BlockPattern) -> Self {
+        let n = pattern.n_nodes();
+        let mut lists: Vec<Vec<(u32, u32)>> = vec![Vec::new(); n];
+        for column in 0..n {
+            for k in pattern.column(column) {
+                let row = pattern.row[k] as usize;
+                lists[row].push((column as u32, k as u32));
+                if row != column {
+                    lists[column].push((row as u32, k as u32));
+                }
+            }
+        }
+        let mut start = vec![0u32];
+        let mut entry = Vec::with_capacity(2 * pattern.row.len());
+        for list in lists {
+            entry.extend(list);
+            start.push(entry.len() as u32);
+        }
+        let block = vec![[[0.0; D]; D]; pattern.row.len()];
+        Self { start, entry, block, inverse: vec![[[0.0; D]; D]; n] }
+    }
+
+    fn load(&mut self, pattern: &BlockPattern, values: &[f64]) -> Result<(), LeastSquaresError> {
+        for node in 0..pattern.n_nodes() {
+            for k in pattern.column(node) {
+                let diagonal = pattern.row[k] as usize == node;
+                for c in 0..D {
+                    let slot = scalar_slots::<D>(pattern, node, k, c);
+                    let first = if diagonal { c } else { 0 };
+                    for r in first..D {
+                        self.block[k][r][c] = values[slot + r - first];
+                        if diagonal {
+                            self.block[k][c][r] = values[slot + r - first];
+                        }
+                    }
+                }
+                if diagonal {
+                    self.inverse[node] =
+                        inverse_of_positive(&self.block[k]).ok_or(LeastSquaresError::Singular { pivot: node * D })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn rows(&self, node: usize, x: &[f64]) -> Vector<D> {
+        let mut sum = [0.0; D];
+        for &(other, k) in &self.entry[self.start[node] as usize..self.start[node + 1] as usize] {
+            let block = &self.block[k as usize];
+            let x = &x[other as usize * D..];
+            for r in 0..D {
+                for c in 0..D {
+                    sum[r] += if other as usize <= node { block[r][c] } else { block[c][r] } * x[c];
+                }
+            }
+        }
+        sum
+    }
+
+    /// `y = S x`, row by row, so that the sums do not depend on the threads.
+    fn multiply(&self, x: &[f64], y: &mut [f64]) {
+        y.par_chunks_exact_mut(D).enumerate().with_min_len(64).for_each(|(node, y)| {
+            y.copy_from_slice(&self.rows(node, x));
+        });
+    }
+
+    fn precondition(&self, x: &[f64], y: &mut [f64]) {
+        for ((x, y), inverse) in x.chunks_exact(D).zip(y.chunks_exact_mut(D)).zip(&self.inverse) {
+            for r in 0..D {
+                y[r] = (0..D).map(|c| inverse[r][c] * x[c]).sum();
+            }
+        }
+    }
+
+    fn solve(&self, right: &mut [f64]) -> Result<(), LeastSquaresError> {
+        let mut x = vec![0.0; right.len()];
+        let ended = conjugate_gradients(
+            |x, y| self.multiply(x, y),
+            |x, y| self.precondition(x, y),
+            right,
+            &mut x,
+            GRADIENT_TOLERANCE,
+            PRODUCTS_PER_UNKNOWN * right.len(),
+        );
+        if ended.relative_residual.is_nan() || ended.relative_residual > 1e-2 {
+            return Err(LeastSquaresError::Singular { pivot: 0 });
+        }
+        right.copy_from_slice(&x);
+        Ok(())
+    }
+}
+
+/// Inverse of a small symmetric positive definite matrix, by Gauss and Jordan; `None` where a pivot is not positive.
+fn inverse_of_positive<const D: usize>(m: &Matrix<D>) -> Option<Matrix<D>> {
+    let mut a = *m;
+    for p in 0..D {
+        let pivot = a[p][p];
+        if pivot.is_nan() || pivot <= 0.0 {
+            return None;
+        }
+        a[p][p] = 1.0;
+        a[p] = a[p].map(|x| x / pivot);
+        for r in (0..D).filter(|&r| r != p) {
+            let factor = a[r][p];
+            a[r][p] = 0.0;
+            for c in 0..D {
+                a[r][c] -= factor * a[p][c];
+            }
+        }
+    }
+    Some(a)
+}
+
 /// How preconditioned conjugate gradients ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Iterations {
@@ -226,8 +434,8 @@ pub struct Iterations {
 /// Stops when the residual has fallen to `tolerance` times that of `b` (in the preconditioner's metric), or after
 /// `max_iterations`.
 pub fn conjugate_gradients(
-    multiply: &mut dyn FnMut(&[f64], &mut [f64]),
-    precondition: &mut dyn FnMut(&[f64], &mut [f64]),
+    multiply: impl Fn(&[f64], &mut [f64]),
+    precondition: impl Fn(&[f64], &mut [f64]),
     b: &[f64],
     x: &mut [f64],
     tolerance: f64,
@@ -294,8 +502,5 @@ pub fn symmetric_eigen<const D: usize>(m: &Matrix<D>) -> Result<([f64; D], [Vect
     let matrix = faer::Mat::from_fn(D, D, |r, c| 0.5 * (m[r][c] + m[c][r]));
     let eigen = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
     let (values, vectors) = (eigen.S(), eigen.U());
-    Ok((
-        std::array::from_fn(|k| values[k]),
-        std::array::from_fn(|k| std::array::from_fn(|r| vectors[(r, k)])),
-    ))
+    Ok((std::array::from_fn(|k| values[k]), std::array::from_fn(|k| std::array::from_fn(|r| vectors[(r, k)]))))
 }

@@ -7,8 +7,8 @@
 use rayon::prelude::*;
 
 use super::part::{Lanes, Part};
-use super::reduced::{Damping, PointFactor, Quadratic, ReducedSystem, Weighing, add_outer};
-use super::start::{Estimate, for_each_chunk, median, squared_chord};
+use super::reduced::{Damping, PointFactor, PointSum, Quadratic, ReducedSystem, Weighing};
+use super::start::{Estimate, for_each_chunk, sigma_from_chords, squared_chord};
 use crate::least_squares::LeastSquaresError;
 
 /// Damping of the first step, relative to the diagonal.
@@ -27,20 +27,13 @@ const POINT_ITERATIONS: usize = 4;
 /// A mean squared chord below this is exact to the last digits of the input.
 const EXACT: f64 = 1e-27;
 
-/// Median of a chord (two tangent directions) over its standard deviation in each; for d = 2 of a single one.
-pub(super) const fn median_over_sigma(d: usize) -> f64 {
-    if d == 2 { 0.6745 } else { 1.1774 }
-}
-
 /// Smallest noise estimate in radians, so that exact data keeps all its observations.
-pub(super) const SIGMA_FLOOR_RAD: f64 = 1e-9;
+pub(super) const SIGMA_FLOOR_RAD: f64 = 1e-7;
 
 /// Observations farther than this many sigma from their prediction are outliers.
 pub(super) const OUTLIER_SIGMAS: f64 = 5.0;
 /// The same before the first descent: the cameras still err by more than the noise, most of all as seen from near points.
 pub(super) const FIRST_OUTLIER_SIGMAS: f64 = 20.0;
-/// Share of degrees of freedom below which the noise estimate is not corrected any further.
-const LEAST_FREEDOM: f64 = 0.05;
 /// Huber's threshold in sigma.
 pub(super) const HUBER_SIGMAS: f64 = 3.0;
 
@@ -110,11 +103,7 @@ fn huber_weight(squared: f64, threshold: f64) -> f64 {
 
 #[inline(always)]
 fn huber_cost(squared: f64, threshold: f64) -> f64 {
-    if squared <= threshold * threshold {
-        squared
-    } else {
-        threshold * (2.0 * squared.sqrt() - threshold)
-    }
+    if squared <= threshold * threshold { squared } else { threshold * (2.0 * squared.sqrt() - threshold) }
 }
 
 /// How far a descent is driven.
@@ -276,32 +265,22 @@ fn point_model<const D: usize>(
     step: Option<&[Lanes]>,
     damping: f64,
 ) -> Option<PointModel<D>> {
-    let mut outer = [Lanes::ZERO; D];
-    let mut gradient = Lanes::ZERO;
-    let mut weight_sum = 0.0;
+    let mut sum = PointSum::<D>::new();
+    let mut pull = Lanes::ZERO;
     for o in part.observations(j) {
         let view = part.view[o] as usize;
         let model = weights.model(o, point, &centers[view]);
-        let d = model.direction;
-        add_outer(&mut outer, &d);
-        weight_sum += d.0[3];
-        gradient = gradient.plus(&model.gradient);
+        sum.add(&model);
         if let Some(step) = step {
-            let shift = &step[view];
-            gradient = gradient.plus_scaled(d.0[3], &shift.plus_scaled(-d.dot::<D>(shift), &d));
+            pull = pull.plus(&model.apply::<D>(&step[view]));
         }
     }
-    if weight_sum.is_nan() || weight_sum <= 0.0 {
+    if sum.is_empty() {
         return None;
     }
-    gradient.0[3] = 0.0;
     let axis = unit::<D>(&point.minus(&centers[part.view[part.start[j] as usize] as usize]));
-    let mut along = Lanes::ZERO;
-    for (r, row) in outer.iter().enumerate() {
-        along = along.plus_scaled(axis.0[r], row);
-    }
-    let depth_share = (weight_sum - axis.dot::<D>(&along)) / (weight_sum * (D - 1) as f64);
-    Some(PointModel { factor: PointFactor::new(weight_sum, &outer, damping, &axis), gradient, axis, depth_share })
+    let depth_share = sum.along(&axis) / (sum.weight_sum * (D - 1) as f64);
+    Some(PointModel { factor: sum.factor(damping, &axis), gradient: sum.gradient.plus(&pull), axis, depth_share })
 }
 
 /// How a point follows small displacements of the centres; `None` where nothing of it is kept.
@@ -436,20 +415,18 @@ pub(super) fn intersect_rays<const D: usize>(
     centers: &[Lanes],
     near: &Lanes,
 ) -> Lanes {
-    let mut outer = [Lanes::ZERO; D];
+    let mut sum = PointSum::<D>::new();
     let mut right = Lanes::ZERO;
-    let mut weight_sum = 0.0;
     for o in observations {
         let center = &centers[part.view[o] as usize];
-        let mut d = part.ray[o];
+        let mut direction = part.ray[o];
         let u = near.minus(center);
-        d.0[3] /= u.dot::<D>(&u).max(f64::MIN_POSITIVE);
-        add_outer(&mut outer, &d);
-        weight_sum += d.0[3];
-        right = right.plus_scaled(d.0[3], &center.plus_scaled(-d.dot::<D>(center), &d));
+        direction.0[3] /= u.dot::<D>(&u).max(f64::MIN_POSITIVE);
+        let model = Quadratic { direction, gradient: Lanes::ZERO };
+        sum.add(&model);
+        right = right.plus(&model.apply::<D>(center));
     }
-    right.0[3] = 0.0;
-    PointFactor::<D>::new(weight_sum.max(f64::MIN_POSITIVE), &outer, 0.0, &Lanes::ZERO).solve(&right)
+    sum.factor(0.0, &Lanes::ZERO).solve(&right)
 }
 
 /// Chord of every observation in units of the reference sigma's radian.
@@ -472,8 +449,7 @@ pub(super) fn chords<const D: usize>(part: &Part<D>, estimate: &Estimate) -> Vec
     track_chords.concat()
 }
 
-/// Noise estimate from the median chord of the observations for which `among` holds, corrected for the unknowns that were
-/// fitted to them: residuals of a track of three views are far smaller than its noise.
+/// Noise estimate from the chords of the observations for which `among` holds.
 pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among: impl Fn(usize) -> bool) -> f64 {
     let (mut sample, mut kept, mut points) = (Vec::new(), 0usize, 0usize);
     let stride = (chords.len() / 200_000).max(1);
@@ -487,10 +463,8 @@ pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among:
         }
         points += usize::from(kept > before);
     }
-    let equations = ((D - 1) * kept) as f64;
-    let unknowns = (D * (points + part.n_views)) as f64 - (D + 1) as f64;
-    let freedom = ((equations - unknowns) / equations).clamp(LEAST_FREEDOM, 1.0);
-    (median(&mut sample) / (median_over_sigma(D) * freedom.sqrt())).max(SIGMA_FLOOR_RAD)
+    let unknowns = (D * (points + part.n_views)).saturating_sub(D + 1);
+    sigma_from_chords::<D>(&mut sample, kept, unknowns).max(SIGMA_FLOOR_RAD)
 }
 
 /// Observations within a limit of their prediction, of points that keep at least two views.

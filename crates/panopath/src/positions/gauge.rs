@@ -56,7 +56,8 @@ fn fit_control<const D: usize>(
     if pairs.len() < 2 {
         return Ok(None);
     }
-    let fit = if control.rotation && pairs.len() >= D { Similarity::fit(&pairs) } else { Similarity::fit_unrotated(&pairs) };
+    let fit =
+        if control.rotation && pairs.len() >= D { Similarity::fit(&pairs) } else { Similarity::fit_unrotated(&pairs) };
     fit.map(Some).ok_or_else(|| {
         PositionError::Control(format!("the {} known positions lie at one place or mirror the solution", pairs.len()))
     })

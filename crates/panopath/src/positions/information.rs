@@ -7,11 +7,11 @@
 use super::descent::{NewtonWeights, point_displacement};
 use super::options::PositionError;
 use super::part::{Lanes, Part};
-use super::reduced::{Damping, LinearSolver, ReducedSystem};
+use super::reduced::{Damping, ReducedSystem};
 use super::start::{Estimate, for_each_chunk, normalise};
-use super::{Rays, lay_out};
+use super::{Members, Rays};
 use crate::geometry::{Matrix, Rotation, Vector};
-use crate::least_squares::LeastSquaresError;
+use crate::least_squares::{LeastSquaresError, LinearSolver};
 use crate::tracks::Tracks;
 
 /// An exact ambiguity seen through noise is this many times stiffer than expected, at most.
@@ -212,7 +212,8 @@ pub fn position_covariance<const D: usize>(
         .collect();
     let parts = rays.parts(tracks, false, Some(&counts));
     let (views, members) = (&parts.views[0], &parts.tracks[0]);
-    let part = lay_out(tracks, &rays, views, members);
+    let roles = Members::as_given(views, members);
+    let part = roles.lay_out(tracks, &rays);
     let mut covariance = vec![[[f64::NAN; D]; D]; tracks.n_views()];
     if part.n_tracks() == 0 {
         return Ok(covariance);

@@ -25,9 +25,9 @@ mod reduced;
 mod robust;
 mod start;
 
+pub use crate::least_squares::LinearSolver;
 pub use information::position_covariance;
 pub use options::{Control, Gauge, LinearForm, LinearGauge, Method, PositionError, PositionOptions};
-pub use reduced::LinearSolver;
 
 use part::{Lanes, Part};
 use parts::{Parts, Sightings, jointly_scaled_parts};
@@ -140,17 +140,21 @@ pub fn solve_positions<const D: usize>(
     check(tracks, cam_from_world, options)?;
     let clock = Instant::now();
     let rays = Rays::new(tracks, cam_from_world);
-    let parts = rays.parts(tracks, options.split_parts, None);
     let mut timings = Timings { layout_s: clock.elapsed().as_secs_f64(), ..Timings::default() };
+    let parts = rays.parts(tracks, options.split_parts, None);
+    let mut answer = Answer::solve(tracks, &rays, &parts, options, &mut timings)?;
 
-    let mut answer = Answer::nothing(tracks);
-    for index in 0..parts.views.len() {
-        answer.solve_part(tracks, &rays, &parts, index, options, &mut timings)?;
+    let clock = Instant::now();
+    let kept_parts = rays.parts(tracks, options.split_parts, Some(&answer.inlier));
+    timings.finish_s = clock.elapsed().as_secs_f64();
+    if kept_parts.views.len() > parts.views.len() {
+        // what only outliers held together is solved apart, so that each part is judged by itself
+        answer = Answer::solve(tracks, &rays, &kept_parts, options, &mut timings)?;
     }
     let clock = Instant::now();
     answer.keep_what_is_determined(tracks, &rays, options);
     let structure = answer.place(cam_from_world, options)?;
-    timings.finish_s = clock.elapsed().as_secs_f64();
+    timings.finish_s += clock.elapsed().as_secs_f64();
     Ok(Structure { summary: Summary { timings, ..structure.summary }, ..structure })
 }
 
@@ -249,8 +253,9 @@ impl<const D: usize> Rays<D> {
         if split { jointly_scaled_parts(&seen, keep) } else { parts::single_part(&seen, keep) }
     }
 
-    fn lanes(&self, o: usize) -> Lanes {
-        let mut lanes = Lanes::from_vector::<D>(&self.direction[o]);
+    /// Direction of an observation, times a sign, with its precision in lane 3.
+    fn lanes(&self, o: usize, sign: f64) -> Lanes {
+        let mut lanes = Lanes::from_vector::<D>(&self.direction[o]).times(sign);
         lanes.0[3] = self.precision.as_ref().map_or(1.0, |p| p[o]);
         lanes
     }
@@ -287,6 +292,21 @@ impl<const D: usize> Answer<D> {
         }
     }
 
+    /// Solves every part.
+    fn solve(
+        tracks: &Tracks<D>,
+        rays: &Rays<D>,
+        parts: &Parts,
+        options: &PositionOptions<D>,
+        timings: &mut Timings,
+    ) -> Result<Self, PositionError> {
+        let mut answer = Self::nothing(tracks);
+        for index in 0..parts.views.len() {
+            answer.solve_part(tracks, rays, parts, index, options, timings)?;
+        }
+        Ok(answer)
+    }
+
     /// Solves one part and writes down the views and tracks that no larger part has.
     fn solve_part(
         &mut self,
@@ -298,36 +318,38 @@ impl<const D: usize> Answer<D> {
         timings: &mut Timings,
     ) -> Result<(), PositionError> {
         let clock = Instant::now();
-        let views = &parts.views[index];
-        let part = lay_out(tracks, rays, views, &parts.tracks[index]);
+        let members = match options.method {
+            Method::Robust => Members::fewest_first(&parts.views[index], &parts.tracks[index]),
+            Method::Linear { .. } => Members::as_given(&parts.views[index], &parts.tracks[index]),
+        };
+        let part = members.lay_out(tracks, rays);
         timings.layout_s += clock.elapsed().as_secs_f64();
         if part.n_tracks() == 0 {
             return Ok(());
         }
-        let start = options.start.as_ref().map(|given| start_of_part(given, &part, views)).transpose()?;
+        let start = options.start.as_ref().and_then(|(centers, points)| members.start(&part, centers, points));
         let solution = match options.method {
-            Method::Robust => {
-                robust::solve_part(&part, start, options.linear_solver, options.max_iterations, timings)?
-            }
+            Method::Robust => robust::solve_part(&part, start, options.linear_solver, options.max_iterations, timings)?,
             Method::Linear { form, gauge } => robust::solve_part_linearly(&part, form, gauge, timings)?,
         };
-        self.write(rays, &part, views, &solution);
+        self.write(rays, &part, &members, &solution);
         Ok(())
     }
 
-    fn write(&mut self, rays: &Rays<D>, part: &Part<D>, views: &[u32], solution: &PartSolution) {
+    fn write(&mut self, rays: &Rays<D>, part: &Part<D>, members: &Members<'_>, solution: &PartSolution) {
         let component = self.n_components as i32;
         self.n_components += 1;
-        for (&view, center) in views.iter().zip(&solution.estimate.centers) {
-            if self.view_component[view as usize] < 0 {
-                self.view_component[view as usize] = component;
-                self.centers[view as usize] = center.vector();
-            }
-        }
-        for (&track, point) in part.input_track.iter().zip(&solution.estimate.points) {
-            if self.track_component[track as usize] < 0 {
-                self.track_component[track as usize] = component;
-                self.points[track as usize] = point.vector();
+        let nodes = (members.cameras.iter().zip(&solution.estimate.centers))
+            .chain(part.input_track.iter().zip(&solution.estimate.points));
+        for (place, (&id, position)) in nodes.enumerate() {
+            let is_view = (place < members.cameras.len()) != members.exchanged;
+            let (label, slot) = if is_view {
+                (&mut self.view_component[id as usize], &mut self.centers[id as usize])
+            } else {
+                (&mut self.track_component[id as usize], &mut self.points[id as usize])
+            };
+            if *label < 0 {
+                (*label, *slot) = (component, position.vector());
             }
         }
         for (k, &o) in part.input_observation.iter().enumerate() {
@@ -404,7 +426,9 @@ impl<const D: usize> Answer<D> {
         for (component, (centers, points)) in centers.iter().zip(&points).enumerate() {
             let placed = match output_from_part[component] {
                 Some(similarity) => similarity,
-                None => gauge::gauge_from_solution(&Gauge::Normalized, centers, points)?.unwrap_or(Similarity::identity()),
+                None => {
+                    gauge::gauge_from_solution(&Gauge::Normalized, centers, points)?.unwrap_or(Similarity::identity())
+                }
             };
             let old_from_new = placed.rotation.inverse();
             for (view, center) in centers {
@@ -440,43 +464,68 @@ impl<const D: usize> Answer<D> {
     }
 }
 
-/// Lays out the observations between the views and the tracks of a part.
-fn lay_out<const D: usize>(tracks: &Tracks<D>, rays: &Rays<D>, views: &[u32], members: &[u32]) -> Part<D> {
-    let mut local = vec![u32::MAX; tracks.n_views()];
-    for (k, &view) in views.iter().enumerate() {
-        local[view as usize] = k as u32;
-    }
-    let mut is_member = vec![false; tracks.n_tracks()];
-    for &track in members {
-        is_member[track as usize] = true;
-    }
-    let belongs = |o: u32| {
-        local[tracks.view()[o as usize] as usize] != u32::MAX && is_member[tracks.track()[o as usize] as usize]
-    };
-    let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| belongs(o)).collect();
-    Part::new(
-        views.len(),
-        tracks.n_tracks(),
-        &observations,
-        tracks.track(),
-        |o| local[tracks.view()[o] as usize],
-        |o| rays.lanes(o),
-    )
+/// Views and tracks of a part, in the roles that the solver gives them.
+///
+/// Directions are all the solver knows, and reversing them exchanges views and tracks: the fewer of the two act as cameras,
+/// whose reduced system is factorised, and the others are eliminated one by one.
+struct Members<'a> {
+    cameras: &'a [u32],
+    points: &'a [u32],
+    exchanged: bool,
 }
 
-/// The caller's start for one part; a point that is not finite is sought anew.
-fn start_of_part<const D: usize>(
-    (centers, points): &(Vec<Vector<D>>, Vec<Vector<D>>),
-    part: &Part<D>,
-    views: &[u32],
-) -> Result<Estimate, PositionError> {
-    if let Some(view) = views.iter().find(|&&v| centers[v as usize].iter().any(|x| !x.is_finite())) {
-        return Err(PositionError::Start(format!("the centre of view {view} is not finite")));
+impl<'a> Members<'a> {
+    fn as_given(views: &'a [u32], tracks: &'a [u32]) -> Self {
+        Self { cameras: views, points: tracks, exchanged: false }
     }
-    Ok(Estimate {
-        centers: views.iter().map(|&v| Lanes::from_vector::<D>(&centers[v as usize])).collect(),
-        points: part.input_track.iter().map(|&t| Lanes::from_vector::<D>(&points[t as usize])).collect(),
-    })
+
+    fn fewest_first(views: &'a [u32], tracks: &'a [u32]) -> Self {
+        if tracks.len() < views.len() {
+            Self { cameras: tracks, points: views, exchanged: true }
+        } else {
+            Self::as_given(views, tracks)
+        }
+    }
+
+    /// Lays out the observations between the members.
+    fn lay_out<const D: usize>(&self, tracks: &Tracks<D>, rays: &Rays<D>) -> Part<D> {
+        let (mut camera_of, mut point_of) = (tracks.view(), tracks.track());
+        let (mut n_cameras, mut n_points) = (tracks.n_views(), tracks.n_tracks());
+        if self.exchanged {
+            std::mem::swap(&mut camera_of, &mut point_of);
+            std::mem::swap(&mut n_cameras, &mut n_points);
+        }
+        let mut local = vec![u32::MAX; n_cameras];
+        for (k, &camera) in self.cameras.iter().enumerate() {
+            local[camera as usize] = k as u32;
+        }
+        let mut is_member = vec![false; n_points];
+        for &point in self.points {
+            is_member[point as usize] = true;
+        }
+        let belongs =
+            |o: u32| local[camera_of[o as usize] as usize] != u32::MAX && is_member[point_of[o as usize] as usize];
+        let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| belongs(o)).collect();
+        let sign = if self.exchanged { -1.0 } else { 1.0 };
+        Part::new(
+            self.cameras.len(),
+            n_points,
+            &observations,
+            point_of,
+            |o| local[camera_of[o] as usize],
+            |o| rays.lanes(o, sign),
+        )
+    }
+
+    /// The caller's start; positions that are not finite are sought anew, and `None` where too few are given.
+    fn start<const D: usize>(&self, part: &Part<D>, centers: &[Vector<D>], points: &[Vector<D>]) -> Option<Estimate> {
+        let (cameras, others) = if self.exchanged { (points, centers) } else { (centers, points) };
+        let lanes = |ids: &[u32], positions: &[Vector<D>]| {
+            ids.iter().map(|&id| Lanes::from_vector::<D>(&positions[id as usize])).collect()
+        };
+        let given = Estimate { centers: lanes(self.cameras, cameras), points: lanes(&part.input_track, others) };
+        given.completed(part)
+    }
 }
 
 /// Positions of the members of each component, in ascending order of their index.

@@ -1,9 +1,7 @@
 //! What a caller may choose, and what can go wrong.
 
 use crate::geometry::Vector;
-use crate::least_squares::LeastSquaresError;
-
-use super::reduced::LinearSolver;
+use crate::least_squares::{LeastSquaresError, LinearSolver};
 
 /// The condition that takes away translation and scale while the paper's least squares are solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

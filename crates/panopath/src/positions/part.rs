@@ -92,6 +92,20 @@ impl<const D: usize> Part<D> {
         self.start[j] as usize..self.start[j + 1] as usize
     }
 
+    /// The same observations with other rays.
+    pub fn with_rays<const E: usize>(&self, ray: impl Fn(&Lanes) -> Lanes) -> Part<E> {
+        Part {
+            n_views: self.n_views,
+            start: self.start.clone(),
+            view: self.view.clone(),
+            ray: self.ray.iter().map(ray).collect(),
+            has_repeats: self.has_repeats,
+            chunks: self.chunks.clone(),
+            input_track: self.input_track.clone(),
+            input_observation: self.input_observation.clone(),
+        }
+    }
+
     /// Lays out these observations of the input, with their local views and rays.
     ///
     /// Tracks are ordered by their first view, so that neighbours in memory touch neighbouring blocks of the reduced

@@ -3,14 +3,15 @@
 //! A *body* is a set of views and tracks whose shape is fixed up to translation and scale. A small body is found with the
 //! (d, d + 1) pebble game, the generic count for directions (Whiteley; Lee and Streinu 2008), and then grown: a track seen
 //! by two of its views along rays that are not parallel belongs to it, and so does a view that sees two of its tracks.
-//! Bodies that share two members are one. Two bodies are joined by counting: a common member gives d equations, a ray from
-//! one onto a track of the other d - 1, a track seen once from each d - 2, and d + 1 are needed.
+//! Bodies that share two members are one. Two bodies are joined by rank: one may still shift and grow against the other,
+//! d + 1 freedoms, of which a common member takes d, a ray from one onto a track of the other d - 1, and a track seen once
+//! from each d - 2; whether they take the same ones is found at positions drawn at random.
 //!
-//! Counting is generic: coincidences of the actual positions (conics, coplanar scenes) are left to the certificate.
+//! All this is generic: coincidences of the actual positions (conics, coplanar scenes) are left to the certificate.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::geometry::{Vector, dot};
+use crate::geometry::{Vector, dot, normalized, sub, tangent_basis};
 
 /// Rays nearer to parallel than this (or to antiparallel) fix no distance, in radians.
 pub(super) const PARALLEL_RAD: f64 = 1e-7;
@@ -91,7 +92,7 @@ pub(super) fn jointly_scaled_parts<const D: usize>(seen: &Sightings<'_, D>, keep
         }
     }
     let search = Search::new(seen, |o| keep[o]);
-    let bodies = join_by_counting(&search, search.bodies());
+    let bodies = join_by_rank(&search, search.bodies());
     in_order_of_size(search, bodies)
 }
 
@@ -115,7 +116,8 @@ pub(super) fn single_part<const D: usize>(seen: &Sightings<'_, D>, keep: &[bool]
         if first[track] == u32::MAX {
             first[track] = o as u32;
         } else if !crossed[track] {
-            crossed[track] = view != seen.view[first[track] as usize] && crossing(seen, first[track], o as u32, PARALLEL_RAD);
+            crossed[track] =
+                view != seen.view[first[track] as usize] && crossing(seen, first[track], o as u32, PARALLEL_RAD);
         }
     }
     let views = (0..seen.n_views as u32).filter(|&v| count[v as usize] >= 2).collect();
@@ -265,7 +267,8 @@ impl<'a, const D: usize> Search<'a, D> {
     /// Two rays onto one node fix it: they come from different nodes and are not parallel.
     fn independent(&self, a: u32, b: u32) -> bool {
         let (i, j) = (a as usize, b as usize);
-        (self.seen.view[i] != self.seen.view[j] || self.seen.track[i] != self.seen.track[j]) && crossing(self.seen, a, b, self.parallel_rad)
+        (self.seen.view[i] != self.seen.view[j] || self.seen.track[i] != self.seen.track[j])
+            && crossing(self.seen, a, b, self.parallel_rad)
     }
 
     /// A small body around a view, by the pebble game on its neighbourhood.
@@ -298,7 +301,9 @@ impl<'a, const D: usize> Search<'a, D> {
             let mut last = NONE;
             for &o in rays {
                 let v = self.seen.view[o as usize];
-                if v != last && let Some(&i) = local.get(&(v as usize)) {
+                if v != last
+                    && let Some(&i) = local.get(&(v as usize))
+                {
                     game.insert(i, local[&node]);
                 }
                 last = v;
@@ -411,13 +416,13 @@ impl<const D: usize> PebbleGame<D> {
     }
 }
 
-/// Joins bodies between which there are at least `D + 1` equations, until nothing changes.
-fn join_by_counting<const D: usize>(search: &Search<'_, D>, mut bodies: Vec<Body>) -> Vec<Body> {
+/// Joins bodies that can neither shift nor grow against each other, until nothing changes.
+fn join_by_rank<const D: usize>(search: &Search<'_, D>, mut bodies: Vec<Body>) -> Vec<Body> {
     while bodies.len() > 1 {
-        let equations = count_equations(search, &bodies);
-        let Some((&(a, b), _)) = equations.iter().find(|&(_, &n)| n >= D + 1) else { break };
-        let joined = bodies.swap_remove(b.max(a));
-        let target = &mut bodies[a.min(b)];
+        let joins = constraints_between(search, &bodies);
+        let Some((&(a, b), _)) = joins.iter().find(|(_, rows)| rows.len() == D + 1) else { break };
+        let joined = bodies.swap_remove(b);
+        let target = &mut bodies[a];
         target.views.extend(joined.views);
         target.tracks.extend(joined.tracks);
         absorb_tracks(search, target);
@@ -425,53 +430,95 @@ fn join_by_counting<const D: usize>(search: &Search<'_, D>, mut bodies: Vec<Body
     bodies
 }
 
-/// Equations between each pair of bodies.
-fn count_equations<const D: usize>(search: &Search<'_, D>, bodies: &[Body]) -> BTreeMap<(usize, usize), usize> {
-    let n_views = search.seen.n_views;
-    let mut of_view: Vec<Vec<usize>> = vec![Vec::new(); n_views];
-    let mut of_track: Vec<Vec<usize>> = vec![Vec::new(); search.seen.n_tracks];
-    for (id, body) in bodies.iter().enumerate() {
-        for &v in &body.views {
-            of_view[v as usize].push(id);
-        }
-        for &t in &body.tracks {
-            of_track[t as usize].push(id);
-        }
+/// Independent constraints on the motion `x -> tau + varsigma x` of the second body of each pair against the first, as
+/// orthonormal rows over `(tau, varsigma)`.
+type Joins = BTreeMap<(usize, usize), Vec<[f64; 4]>>;
+
+/// Keeps `normal^T (tau + varsigma x) = 0` where it is independent of what is known.
+fn constrain<const D: usize>(joins: &mut Joins, a: usize, b: usize, normal: &Vector<D>, x: &Vector<D>) {
+    if a == b {
+        return;
     }
-    let mut equations: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-    let mut add = |a: usize, b: usize, n: usize| {
-        if a != b && n > 0 {
-            *equations.entry((a.min(b), a.max(b))).or_insert(0) += n;
-        }
-    };
-    for members in of_view.iter().chain(&of_track) {
+    let rows = joins.entry((a.min(b), a.max(b))).or_default();
+    let mut row = [0.0; 4];
+    row[..D].copy_from_slice(normal);
+    row[D] = dot(normal, x);
+    let before = dot(&row, &row);
+    for known in rows.iter() {
+        let along = dot(known, &row);
+        row = std::array::from_fn(|c| row[c] - along * known[c]);
+    }
+    let after = dot(&row, &row);
+    if after > 1e-12 * before {
+        rows.push(row.map(|x| x / after.sqrt()));
+    }
+}
+
+/// A position drawn at random, but the same on every run.
+fn random_position<const D: usize>(node: usize) -> Vector<D> {
+    std::array::from_fn(|c| {
+        let mut z = (node * D + c) as u64;
+        z = (z ^ 0x9E37_79B9_7F4A_7C15).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+    })
+}
+
+/// Constraints between each pair of bodies.
+fn constraints_between<const D: usize>(search: &Search<'_, D>, bodies: &[Body]) -> Joins {
+    let n_views = search.seen.n_views;
+    let mut home: Vec<Vec<usize>> = vec![Vec::new(); n_views + search.seen.n_tracks];
+    for (id, body) in bodies.iter().enumerate() {
+        let tracks = body.tracks.iter().map(|&t| t as usize + n_views);
+        body.views.iter().map(|&v| v as usize).chain(tracks).for_each(|node| home[node].push(id));
+    }
+    let mut joins = Joins::new();
+    for (node, members) in home.iter().enumerate() {
         for (i, &a) in members.iter().enumerate() {
-            members[..i].iter().for_each(|&b| add(a, b, D));
+            for &b in &members[..i] {
+                for c in 0..D {
+                    let axis = std::array::from_fn(|r| if r == c { 1.0 } else { 0.0 });
+                    constrain::<D>(&mut joins, a, b, &axis, &random_position(node));
+                }
+            }
         }
     }
     for t in 0..search.seen.n_tracks {
-        let mut from: Vec<usize> = search
-            .by_track
-            .of(t)
-            .iter()
-            .filter_map(|&o| match of_view[search.seen.view[o as usize] as usize].as_slice() {
-                [only] => Some(*only),
-                _ => None,
-            })
-            .collect();
-        from.sort_unstable();
-        match of_track[t].as_slice() {
-            [] => {
-                from.dedup();
-                if let [a, b] = from.as_slice() {
-                    add(*a, *b, D - 2);
-                }
+        let track = n_views + t;
+        let sightings = search.by_track.of(t).iter().map(|&o| search.seen.view[o as usize] as usize);
+        let from: Vec<(usize, usize)> =
+            sightings.filter(|&v| home[v].len() == 1).map(|view| (home[view][0], view)).collect();
+        match home[track].as_slice() {
+            [] => link_two_views::<D>(&mut joins, &from, track),
+            [only] => {
+                from.iter().for_each(|&(body, view)| ray_onto_track::<D>(&mut joins, (body, view), (*only, track)))
             }
-            [home] => from.iter().filter(|&a| a != home).for_each(|&a| add(a, *home, D - 1)),
             _ => {}
         }
     }
-    equations
+    joins
+}
+
+/// The ray of a view of one body onto a track of another: no motion across it.
+fn ray_onto_track<const D: usize>(joins: &mut Joins, view: (usize, usize), track: (usize, usize)) {
+    let moving = if view.0 > track.0 { view.1 } else { track.1 };
+    let (x, c) = (random_position::<D>(track.1), random_position::<D>(view.1));
+    let along = normalized(&sub(&x, &c));
+    for across in tangent_basis(&along).iter().take(D - 1) {
+        constrain::<D>(joins, view.0, track.0, across, &random_position(moving));
+    }
+}
+
+/// A track seen once from each of two bodies keeps its two rays in one plane; in the plane it says nothing.
+fn link_two_views<const D: usize>(joins: &mut Joins, from: &[(usize, usize)], track: usize) {
+    let [(a, view_a), (b, view_b)] = from else { return };
+    if D == 3 && a != b {
+        let x = random_position::<D>(track);
+        let (u, v) = (sub(&x, &random_position(*view_a)), sub(&x, &random_position(*view_b)));
+        let normal = std::array::from_fn(|c| u[(c + 1) % D] * v[(c + 2) % D] - u[(c + 2) % D] * v[(c + 1) % D]);
+        let moving = if b > a { view_b } else { view_a };
+        constrain::<D>(joins, *a, *b, &normal, &random_position(*moving));
+    }
 }
 
 /// Adds the tracks that two views of the body see along rays that are not parallel.

@@ -11,9 +11,7 @@
 use rayon::prelude::*;
 
 use super::part::{Lanes, Part};
-use crate::least_squares::{
-    BlockPattern, LeastSquaresError, Ordering, SparseCholesky, conjugate_gradients, minimum_degree, scalar_slots,
-};
+use crate::least_squares::{BlockPattern, BlockSolver, LeastSquaresError, LinearSolver, scalar_slots};
 
 /// Quadratic model of one observation: see the module's text. `direction` has the weight `w` in lane 3.
 pub(super) struct Quadratic {
@@ -48,7 +46,7 @@ pub(super) struct PointFactor<const D: usize> {
 impl<const D: usize> PointFactor<D> {
     /// Factorises `weight_sum I - outer`, damped in the frame (tangents, depth axis).
     #[inline(always)]
-    pub fn new(weight_sum: f64, outer: &[Lanes; D], damping: f64, axis: &Lanes) -> Self {
+    fn new(weight_sum: f64, outer: &[Lanes; D], damping: f64, axis: &Lanes) -> Self {
         let mut a: [[f64; D]; D] = std::array::from_fn(|r| {
             std::array::from_fn(|c| if r == c { weight_sum - outer[r].0[c] } else { -outer[r].0[c] })
         });
@@ -134,12 +132,61 @@ impl<const D: usize> PointFactor<D> {
     }
 }
 
-/// Adds `w d d^T` to `outer`; `d` has the weight in lane 3.
-#[inline(always)]
-pub(super) fn add_outer<const D: usize>(outer: &mut [Lanes; D], d: &Lanes) {
-    let weighted = d.times(d.0[3]);
-    for (r, row) in outer.iter_mut().enumerate() {
-        *row = row.plus_scaled(d.0[r], &weighted);
+impl Quadratic {
+    /// `M a`.
+    #[inline(always)]
+    pub fn apply<const D: usize>(&self, a: &Lanes) -> Lanes {
+        let d = &self.direction;
+        let mut product = a.plus_scaled(-d.dot::<D>(a), d).times(d.0[3]);
+        product.0[3] = 0.0;
+        product
+    }
+}
+
+/// Sum of the models of one point: `A = weight_sum I - outer`, and `g`.
+pub(super) struct PointSum<const D: usize> {
+    pub weight_sum: f64,
+    outer: [Lanes; D],
+    pub gradient: Lanes,
+}
+
+impl<const D: usize> PointSum<D> {
+    #[inline(always)]
+    pub fn new() -> Self {
+        Self { weight_sum: 0.0, outer: [Lanes::ZERO; D], gradient: Lanes::ZERO }
+    }
+
+    #[inline(always)]
+    pub fn add(&mut self, model: &Quadratic) {
+        let d = &model.direction;
+        let weighted = d.times(d.0[3]);
+        for (r, row) in self.outer.iter_mut().enumerate() {
+            *row = row.plus_scaled(d.0[r], &weighted);
+        }
+        self.weight_sum += d.0[3];
+        self.gradient = self.gradient.plus(&model.gradient);
+    }
+
+    /// Does anything count?
+    #[inline(always)]
+    pub fn is_empty(&self) -> bool {
+        self.weight_sum.is_nan() || self.weight_sum <= 0.0
+    }
+
+    /// `axis^T A axis`.
+    #[inline(always)]
+    pub fn along(&self, axis: &Lanes) -> f64 {
+        let mut sum = self.weight_sum;
+        for (r, row) in self.outer.iter().enumerate() {
+            sum -= axis.0[r] * row.dot::<D>(axis);
+        }
+        sum
+    }
+
+    /// Factor of `A`, damped in the frame (tangents, depth axis).
+    #[inline(always)]
+    pub fn factor(&self, damping: f64, axis: &Lanes) -> PointFactor<D> {
+        PointFactor::new(self.weight_sum.max(f64::MIN_POSITIVE), &self.outer, damping, axis)
     }
 }
 
@@ -197,23 +244,10 @@ struct Accumulator {
 
 #[derive(Default)]
 struct Scratch {
-    direction: Vec<Lanes>,
-    gradient: Vec<Lanes>,
+    models: Vec<Quadratic>,
     /// `D` rows of `L^-1 M` for each view of the track.
     rows: Vec<Lanes>,
     views: Vec<u32>,
-}
-
-/// Which linear solver to use for the reduced system.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum LinearSolver {
-    /// The one with the lower predicted cost.
-    #[default]
-    Auto,
-    /// Sparse Cholesky.
-    Direct,
-    /// Conjugate gradients, preconditioned by diagonal blocks or by an earlier factorisation.
-    Iterative,
 }
 
 pub(super) struct ReducedSystem<const D: usize> {
@@ -224,8 +258,7 @@ pub(super) struct ReducedSystem<const D: usize> {
     values: Vec<f64>,
     rhs: Vec<f64>,
     diagonal: Vec<Lanes>,
-    cholesky: SparseCholesky,
-    n_factorisations: usize,
+    solver: BlockSolver<D>,
 }
 
 impl<const D: usize> ReducedSystem<D> {
@@ -233,7 +266,6 @@ impl<const D: usize> ReducedSystem<D> {
     pub fn analyse(part: &Part<D>, solver: LinearSolver) -> Result<Self, LeastSquaresError> {
         let pattern = co_visibility(part);
         let locator = Locator::new(&pattern);
-        let ordering = minimum_degree::<D>(&pattern)?;
         let accumulators = part.chunks.iter().map(|tracks| Accumulator::over::<D>(part, tracks, &pattern)).collect();
         let (n_blocks, n_views) = (pattern.row.len(), part.n_views);
         Ok(Self {
@@ -242,8 +274,7 @@ impl<const D: usize> ReducedSystem<D> {
             rhs: vec![0.0; n_views * D],
             diagonal: vec![Lanes::ZERO; n_views],
             accumulators,
-            cholesky: SparseCholesky::analyse::<D>(&pattern, &ordering)?,
-            n_factorisations: 0,
+            solver: BlockSolver::analyse(&pattern, solver)?,
             pattern,
             locator,
         })
@@ -293,22 +324,21 @@ impl<const D: usize> ReducedSystem<D> {
 
     /// Factorises the assembled system.
     pub fn factorise(&mut self) -> Result<(), LeastSquaresError> {
-        self.n_factorisations += 1;
-        self.cholesky.factorise(&self.values)
+        self.solver.factorise(&self.pattern, &self.values)
     }
 
     /// Solves the assembled system for its right-hand side.
     pub fn solve(&mut self) -> Result<Vec<Lanes>, LeastSquaresError> {
         self.factorise()?;
         let mut x = self.rhs.clone();
-        self.cholesky.solve(&mut x, 1)?;
+        self.solver.solve(&mut x, 1)?;
         Ok(x.as_chunks::<D>().0.iter().map(Lanes::from_vector::<D>).collect())
     }
 
     /// Solves the system factorised last for other right-hand sides, one after the other in `right`; the pinned view's
     /// entries must be zero.
     pub fn solve_for(&self, right: &mut [f64], n_right: usize) -> Result<(), LeastSquaresError> {
-        self.cholesky.solve(right, n_right)
+        self.solver.solve(right, n_right)
     }
 
     /// The view that is held.
@@ -320,14 +350,6 @@ impl<const D: usize> ReducedSystem<D> {
     pub fn diagonal(&self) -> &[Lanes] {
         &self.diagonal
     }
-}
-
-/// Flops that conjugate gradients would need, predicted: a fixed number of products with the lower triangle.
-fn iterative_flops<const D: usize>(pattern: &BlockPattern) -> f64 {
-    const EXPECTED_PRODUCTS: f64 = 150.0;
-    // a product runs at memory speed, several times slower per flop than a dense factorisation
-    const SLOWDOWN: f64 = 4.0;
-    SLOWDOWN * EXPECTED_PRODUCTS * 4.0 * (pattern.row.len() * D * D) as f64
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -463,7 +485,9 @@ fn eliminate_points<const D: usize>(
 ) {
     sums.reset::<D>();
     for j in tracks {
-        let Some((factor, gradient)) = point_block(part, j, weighing, point_damping, &mut sums.scratch) else { continue };
+        let Some((factor, gradient)) = point_block(part, j, weighing, point_damping, &mut sums.scratch) else {
+            continue;
+        };
         let y = factor.forward(&gradient);
         camera_blocks(part, j, &factor, &y, pattern, locator, sums);
         subtract_products::<D>(pattern, locator, sums);
@@ -479,23 +503,14 @@ fn point_block<const D: usize>(
     point_damping: f64,
     scratch: &mut Scratch,
 ) -> Option<(PointFactor<D>, Lanes)> {
-    scratch.direction.clear();
-    scratch.gradient.clear();
-    let mut outer = [Lanes::ZERO; D];
-    let mut gradient = Lanes::ZERO;
-    let mut weight_sum = 0.0;
+    scratch.models.clear();
+    let mut sum = PointSum::<D>::new();
     for o in part.observations(j) {
         let model = weighing.observe(o, j);
-        add_outer(&mut outer, &model.direction);
-        weight_sum += model.direction.0[3];
-        gradient = gradient.plus(&model.gradient);
-        scratch.direction.push(model.direction);
-        scratch.gradient.push(model.gradient);
+        sum.add(&model);
+        scratch.models.push(model);
     }
-    if weight_sum.is_nan() || weight_sum <= 0.0 {
-        return None;
-    }
-    Some((PointFactor::new(weight_sum, &outer, point_damping, &weighing.depth_axis(j)), gradient))
+    (!sum.is_empty()).then(|| (sum.factor(point_damping, &weighing.depth_axis(j)), sum.gradient))
 }
 
 /// Adds each observation's own camera block and right-hand side, and leaves `L^-1 M` of each view in scratch.
@@ -509,12 +524,13 @@ fn camera_blocks<const D: usize>(
     locator: &Locator,
     sums: &mut Accumulator,
 ) {
-    let Scratch { direction, gradient, rows: stored, views } = &mut sums.scratch;
+    let Scratch { models, rows: stored, views } = &mut sums.scratch;
     let (blocks, _) = sums.block.as_chunks_mut::<D>();
     let seen_by = &part.view[part.observations(j)];
     stored.clear();
     views.clear();
-    for ((d, q), &view) in direction.iter().zip(gradient.iter()).zip(seen_by) {
+    for (model, &view) in models.iter().zip(seen_by) {
+        let d = &model.direction;
         let weight = d.0[3];
         let weighted = d.times(weight);
         let mut rows: [Lanes; D] = std::array::from_fn(|r| {
@@ -530,7 +546,7 @@ fn camera_blocks<const D: usize>(
             sums.diagonal[slot].0[r] += rows[r].0[r];
         }
         factor.forward_rows(&mut rows);
-        let mut right = q.times(-1.0);
+        let mut right = model.gradient.times(-1.0);
         for r in 0..D {
             right = right.plus_scaled(y[r], &rows[r]);
         }

@@ -2,16 +2,18 @@
 
 use std::time::Instant;
 
-use super::descent::{Effort, NewtonWeights, FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale};
+use super::descent::{
+    Effort, FIRST_OUTLIER_SIGMAS, NewtonWeights, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale,
+};
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
 use super::part::{Lanes, Part};
 use super::points::{reconsider, without_parallax};
-use super::reduced::{LinearSolver, ReducedSystem};
+use super::reduced::ReducedSystem;
 use super::start::{Estimate, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
-use crate::least_squares::LeastSquaresError;
+use crate::least_squares::{LeastSquaresError, LinearSolver};
 
 /// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
 const MEANINGLESS_RAD: f64 = 0.2;
@@ -126,7 +128,8 @@ pub(super) fn solve_part_linearly<const D: usize>(
     let sigma = noise_scale(part, &chord, |_| true);
     let inlier = inliers(part, &chord, OUTLIER_SIGMAS * sigma);
     let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
-    let loose = is_loose(part, &mut system, &NewtonWeights::new(part, &estimate, &inlier, sigma), sigma)?;
+    let loose = is_loose(part, &mut system, &NewtonWeights::new(part, &estimate, &inlier, sigma), sigma)?
+        || plan_is_loose(part, form, &estimate)?;
     let status = if loose { Status::Ambiguous } else { Status::Converged };
     timings.start_s += clock.elapsed().as_secs_f64();
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations: 1, status })
@@ -146,6 +149,28 @@ fn is_loose<const D: usize>(
         Err(LeastSquaresError::Singular { .. }) => Ok(true),
         other => other.and_then(|()| weakest_mode_is_loose(part, system, weights, sigma)),
     }
+}
+
+/// The same of the first of two stages, which the second cannot mend.
+fn plan_is_loose<const D: usize>(
+    part: &Part<D>,
+    form: LinearForm,
+    estimate: &Estimate,
+) -> Result<bool, LeastSquaresError> {
+    let LinearForm::TwoStage { vertical_axis } = form else { return Ok(false) };
+    let axes = [(vertical_axis + 1) % D, (vertical_axis + 2) % D];
+    let flatten = |nodes: &[Lanes]| nodes.iter().map(|x| Lanes([x.0[axes[0]], x.0[axes[1]], 0.0, 0.0])).collect();
+    let mut plan = Estimate { centers: flatten(&estimate.centers), points: flatten(&estimate.points) };
+    scale_to_unit(&mut plan);
+    let flat: Part<2> = part.with_rays(|ray| {
+        let length = ray.0[axes[0]].hypot(ray.0[axes[1]]).max(f64::MIN_POSITIVE);
+        Lanes([ray.0[axes[0]] / length, ray.0[axes[1]] / length, 0.0, ray.0[3] * length * length])
+    });
+    let chord = chords(&flat, &plan);
+    let sigma = noise_scale(&flat, &chord, |_| true);
+    let keep = inliers(&flat, &chord, OUTLIER_SIGMAS * sigma);
+    let mut system = ReducedSystem::analyse(&flat, LinearSolver::Direct)?;
+    is_loose(&flat, &mut system, &NewtonWeights::new(&flat, &plan, &keep, sigma), sigma)
 }
 
 /// The kept observations less those of some tracks.

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use super::part::{Lanes, Part};
-use super::reduced::{Damping, PointFactor, Quadratic, ReducedSystem, Weighing, add_outer};
+use super::reduced::{Damping, PointSum, Quadratic, ReducedSystem, Weighing};
 use crate::least_squares::LeastSquaresError;
 
 /// Where the solver stands: camera centres and points of one part.
@@ -25,10 +25,48 @@ impl Estimate {
     }
 }
 
+impl Estimate {
+    /// The same with every position that is not finite found from the others: a camera from the points it sees, then a
+    /// point from the cameras that see it. `None` where a camera sees too few known points.
+    pub fn completed<const D: usize>(mut self, part: &Part<D>) -> Option<Self> {
+        let known = |x: &Lanes| x.vector::<D>().iter().all(|v| v.is_finite());
+        let missing: Vec<bool> = self.centers.iter().map(|c| !known(c)).collect();
+        if missing.iter().any(|&m| m) {
+            let mut seen: Vec<(PointSum<D>, Lanes)> =
+                (0..part.n_views).map(|_| (PointSum::new(), Lanes::ZERO)).collect();
+            for j in (0..part.n_tracks()).filter(|&j| known(&self.points[j])) {
+                for o in part.observations(j).filter(|&o| missing[part.view[o] as usize]) {
+                    let (sum, right) = &mut seen[part.view[o] as usize];
+                    let model = weighted_ray(&part.ray[o], 1.0, 0.0);
+                    sum.add(&model);
+                    *right = right.plus(&model.apply::<D>(&self.points[j]));
+                }
+            }
+            for (view, (sum, right)) in seen.iter().enumerate().filter(|(view, _)| missing[*view]) {
+                self.centers[view] = sum.factor(0.0, &Lanes::ZERO).solve(right);
+                if sum.weight_sum <= 0.0 || !known(&self.centers[view]) {
+                    return None;
+                }
+            }
+        }
+        for j in (0..part.n_tracks()).filter(|&j| !known(&self.points[j])).collect::<Vec<_>>() {
+            let mut sum = PointSum::<D>::new();
+            let mut right = Lanes::ZERO;
+            for o in part.observations(j) {
+                let model = weighted_ray(&part.ray[o], 1.0, 0.0);
+                sum.add(&model);
+                right = right.plus(&model.apply::<D>(&self.centers[part.view[o] as usize]));
+            }
+            self.points[j] = sum.factor(0.0, &Lanes::ZERO).solve(&right);
+        }
+        Some(self)
+    }
+}
+
 /// Smallest noise scale, in radians: keeps weights finite on exact data.
 pub(super) const SCALE_FLOOR_RAD: f64 = 2e-4;
-/// The scale is this multiple of the median chord.
-const SCALE_OVER_MEDIAN: f64 = 2.0;
+/// The scale is this multiple of the noise: twice the median of a chord.
+const SCALE_OVER_SIGMA: f64 = 2.35;
 /// No track starts with more than this multiple of the median weight: bodies that pass close by move, as often as not.
 const LARGEST_WEIGHT: f64 = 4.0;
 /// Re-weighting stops when the scale changes by less than this.
@@ -191,20 +229,14 @@ fn triangulate<const D: usize>(
     scale: f64,
     weighing: &impl Weighing<D>,
 ) -> Lanes {
-    let mut outer = [Lanes::ZERO; D];
+    let mut sum = PointSum::<D>::new();
     let mut right = Lanes::ZERO;
-    let mut weight_sum = 0.0;
     for o in part.observations(j) {
-        let Quadratic { direction: d, gradient } = weighing.observe(o, j);
-        let center = &centers[part.view[o] as usize];
-        add_outer(&mut outer, &d);
-        weight_sum += d.0[3];
-        let across = center.plus_scaled(-d.dot::<D>(center), &d);
-        right = right.plus_scaled(d.0[3], &across).plus_scaled(scale, &gradient);
+        let model = weighing.observe(o, j);
+        sum.add(&model);
+        right = right.plus(&model.apply::<D>(&centers[part.view[o] as usize]));
     }
-    right.0[3] = 0.0;
-    let factor = PointFactor::<D>::new(weight_sum.max(f64::MIN_POSITIVE), &outer, 0.0, &Lanes::ZERO);
-    factor.solve(&right)
+    sum.factor(0.0, &Lanes::ZERO).solve(&right.plus_scaled(scale, &sum.gradient))
 }
 
 /// Moves the centroid to zero and scales to rms distance one; returns the factor applied.
@@ -219,8 +251,40 @@ pub(super) fn normalise(centers: &mut [Lanes]) -> f64 {
     scale
 }
 
-/// Median of the chord in units of the reference sigma, over at most 20,000 evenly spaced observations.
-fn median_chord<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
+/// Noise of one tangent direction from the chords of some observations that `unknowns` were fitted to.
+///
+/// A fit with few degrees of freedom makes many residuals vanish: a share `1 - freedom` of them can be zero whatever the
+/// noise. The quantile that is looked at lies beyond these, and the residuals that remain are scaled up to the noise.
+pub(super) fn sigma_from_chords<const D: usize>(chords: &mut [f64], n_observations: usize, unknowns: usize) -> f64 {
+    let equations = ((D - 1) * n_observations) as f64;
+    let freedom = ((equations - unknowns as f64) / equations).clamp(LEAST_FREEDOM, 1.0);
+    let share = (1.0 - BEYOND_FITTED * freedom).max(0.5);
+    let place = ((share * chords.len() as f64) as usize).min(chords.len().saturating_sub(1));
+    if chords.is_empty() {
+        return 0.0;
+    }
+    let quantile = *chords.select_nth_unstable_by(place, f64::total_cmp).1;
+    quantile / (freedom.sqrt() * normal_quantile(D, share))
+}
+
+/// Share of degrees of freedom below which the noise estimate is not corrected any further.
+const LEAST_FREEDOM: f64 = 0.05;
+/// The quantile looked at is one less this share of the freedom, and the median at least.
+const BEYOND_FITTED: f64 = 0.75;
+
+/// Length that a share of normal vectors of `d - 1` unit components stays below.
+fn normal_quantile(d: usize, share: f64) -> f64 {
+    if d == 3 {
+        return (-2.0 * (1.0 - share).ln()).sqrt();
+    }
+    // one component: invert the error function (Winitzki's approximation, good to 0.2 %)
+    let (a, log) = (0.147, (1.0 - share * share).ln());
+    let half = 2.0 / (std::f64::consts::PI * a) + 0.5 * log;
+    std::f64::consts::SQRT_2 * ((half * half - log / a).sqrt() - half).sqrt()
+}
+
+/// Noise estimate in units of the reference sigma's radian, over at most some 20,000 observations of evenly spaced tracks.
+fn noise_of<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
     let tracks_per_sample = part.n_tracks().div_ceil(4_000);
     let mut chords: Vec<f64> = (0..part.n_tracks())
         .step_by(tracks_per_sample.max(1))
@@ -230,7 +294,8 @@ fn median_chord<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
             (squared_chord::<D>(&part.ray[o], &estimate.points[j], center).0 * part.ray[o].0[3]).sqrt()
         })
         .collect();
-    median(&mut chords)
+    let unknowns = D * (part.n_tracks() + part.n_views) - D - 1;
+    sigma_from_chords::<D>(&mut chords, part.n_observations(), unknowns)
 }
 
 /// Median; zero of nothing. Reorders its argument.
@@ -250,7 +315,7 @@ pub(super) fn robust_start<const D: usize>(
     let mut estimate = linear_step(part, system, &parallax_weights(part))?;
     let mut previous = f64::INFINITY;
     for round in 1..=MAX_ROUNDS {
-        let scale = (SCALE_OVER_MEDIAN * median_chord(part, &estimate)).max(SCALE_FLOOR_RAD);
+        let scale = (SCALE_OVER_SIGMA * noise_of(part, &estimate)).max(SCALE_FLOOR_RAD);
         if (scale / previous - 1.0).abs() < SCALE_TOLERANCE {
             return Ok((estimate, round));
         }
@@ -278,8 +343,10 @@ pub(super) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut E
                 let center = &centers[part.view[o] as usize];
                 middle = middle.plus_scaled(1.0 / count, center);
                 ray = ray.plus(&part.ray[o]);
-                behind += usize::from(part.ray[o].dot::<D>(&point.minus(center)).is_nan()
-                    || part.ray[o].dot::<D>(&point.minus(center)) <= 0.0);
+                behind += usize::from(
+                    part.ray[o].dot::<D>(&point.minus(center)).is_nan()
+                        || part.ray[o].dot::<D>(&point.minus(center)) <= 0.0,
+                );
             }
             let distance = |a: &Lanes| a.minus(&middle).dot::<D>(&a.minus(&middle)).sqrt();
             let baseline = observations.map(|o| distance(&centers[part.view[o] as usize])).fold(0.0, f64::max);

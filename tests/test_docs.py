@@ -1,0 +1,116 @@
+"""The pages: their code runs, their links lead somewhere, and what they list is what there is."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import panopath as pp
+import pytest
+import typer
+from panopath.cli import app
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+RUNNING = ("README.md", "docs/tutorial-first-solve.md", "docs/paper.md")
+
+
+def fenced(page: str, language: str) -> list[tuple[int, str]]:
+    """Blocks of a page in one language, each with the line it begins at."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [(text.count("\n", 0, match.start(1)), match.group(1)) for match in found]
+
+
+@pytest.mark.parametrize("page", RUNNING)
+def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    python, console = fenced(page, "python"), fenced(page, "console")
+    assert python
+    namespace: dict[str, object] = {}
+    for line, block in python:
+        # as many empty lines as stand before it: a failure then names the line of the page
+        exec(compile("\n" * line + block, page, "exec"), namespace)
+    environment = os.environ | {"COLUMNS": "120"}
+    for _, block in console:
+        for command in re.findall(r"^\$ (.*)$", block, re.MULTILINE):
+            words = shlex.split(command)
+            assert words[0] == "panopath"
+            run = [sys.executable, "-m", "panopath.cli", *words[1:]]
+            done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = re.findall(r"\]\(([^)#\s]+)", text)
+    missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
+    assert not missing
+
+
+def command_options() -> dict[str, set[str]]:
+    """Long and short options of every command."""
+    group = typer.main.get_command(app)
+    commands = getattr(group, "commands")  # noqa: B009 (typer's own class, of no public type)
+    return {
+        name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
+        for name, command in commands.items()
+    }
+
+
+def test_command_line_page_lists_every_option_and_no_other() -> None:
+    text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help"}
+    real = {o for options in command_options().values() for o in options if o.startswith("--")} - {"--help"}
+    assert listed == real
+    for command in command_options():
+        assert f"panopath {command}" in text
+
+
+def test_formats_page_names_every_column_and_file(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    for dimension in (2, 3):
+        world = pp.simulate("box", n_views=5, n_points=12, dimension=dimension, seed=1)
+        scene = pp.solve_positions(world.tracks)
+        folder = pp.write_scene(scene, tmp_path / str(dimension))
+        for name in ("cameras.csv", "points.csv"):
+            section = text[text.index(f"`{name}`: ") :].split("\n\n")[0]
+            columns = (folder / name).read_text(encoding="utf-8").splitlines()[0].split(",")
+            named = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]*)`", section))))
+            assert set(columns) <= named
+        for path in folder.iterdir():
+            assert f"`{path.name}" in text
+
+
+def test_conventions_name_every_status_and_gauge() -> None:
+    text = (ROOT / "CONVENTIONS.md").read_text(encoding="utf-8")
+    for status in pp.Status:
+        code = 0 if status.is_determined else 3
+        assert re.search(rf"^\| `{status.value}` \|.*\| {code} \|$", text, re.MULTILINE)
+    for gauge in ("normalized", "paper", "paper_distance", "control"):
+        assert f"| `{gauge}`" in text
+
+
+def test_paper_gauge_keeps_points_in_front() -> None:
+    """As CONVENTIONS.md says: where the second point lies to the left of the first, it gets x = -1."""
+    found = set()
+    for seed in range(8):
+        world = pp.simulate("box", n_views=5, n_points=12, dimension=2, seed=seed)
+        scene = pp.solve_positions(world.tracks, options=pp.PositionOptions(gauge="paper"))
+        np.testing.assert_allclose(scene.points[0], 0.0, atol=1e-12)
+        side = np.sign(world.points[1, 0] - world.points[0, 0])
+        np.testing.assert_allclose(scene.points[1, 0], side, atol=1e-9)
+        found.add(int(side))
+    assert found == {-1, 1}
+
+
+def test_no_page_names_a_machine_or_leaves_a_gap() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"/(?:home|root|work|Users)/|TODO|TBD|[A-Z]+_TABLE", text), page

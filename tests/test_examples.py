@@ -1,0 +1,58 @@
+"""The programs in examples/ run by themselves and say what they should."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import panopath as pp
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def run(name: str, cwd: Path, *arguments: str) -> str:
+    """Run an example elsewhere, warnings being errors; its output."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / f"{name}.py"), *arguments]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def number(pattern: str, text: str) -> float:
+    """The number that a pattern captures in a text."""
+    found = re.search(pattern, text)
+    assert found is not None, f"{pattern!r} is not in {text!r}"
+    return float(found.group(1))
+
+
+def test_coast_survey(tmp_path: Path) -> None:
+    said = run("coast_survey", tmp_path)
+    assert "converged" in said
+    for misread in ("station 2 to mark 5", "station 6 to mark 15"):
+        assert misread in said
+    assert said.count("set aside:") <= 4
+    assert number(r"marks: median error ([\d.]+) m", said) < 15.0
+    assert number(r"stations: median error ([\d.]+) m", said) < 15.0
+    assert 0.05 < number(r"from the bearings alone: ([\d.]+) deg", said) < 0.15
+    assert re.search(r"mark 1 +0\.0000 +0\.0000", said)
+    assert re.search(r"mark 2 +1\.0000", said)
+
+
+def test_robot_landmarks(tmp_path: Path) -> None:
+    said = run("robot_landmarks", tmp_path)
+    assert "converged" in said
+    assert number(r"path: ([\d.]+) mm rms", said) < 40.0
+    assert number(r"landmarks: median error ([\d.]+) mm", said) < 40.0
+    assert number(r"of which (\d+) were found", said) > 0.95 * number(r"confused bearings: (\d+)", said)
+
+
+def test_street_walk(tmp_path: Path) -> None:
+    said = run("street_walk", tmp_path, "walk")
+    assert "converged" in said
+    error, best = number(r"camera error ([\d.]+) mm", said), number(r"best possible is ([\d.]+) mm", said)
+    assert error < 2.0 * best
+    scene = pp.read_scene(tmp_path / "walk")
+    assert scene.summary.n_solved_views == 60
+    assert {path.stem for path in (tmp_path / "walk" / "colmap" / "0").iterdir()} >= {"cameras", "images", "points3D"}
