@@ -486,6 +486,9 @@ fn inner(a: &[f64], b: &[f64]) -> f64 {
 
 /// The rotation `R` that maximises `trace(R^T m)`, by singular values; `None` where the decomposition fails.
 pub fn nearest_rotation<const D: usize>(m: &Matrix<D>) -> Option<Rotation<D>> {
+    if m.iter().flatten().any(|x| !x.is_finite()) {
+        return None;
+    }
     let svd = faer::Mat::from_fn(D, D, |r, c| m[r][c]).svd().ok()?;
     let (u, v) = (svd.U(), svd.V());
     let sign = (u.determinant() * v.determinant()).signum();
@@ -499,6 +502,9 @@ pub fn nearest_rotation<const D: usize>(m: &Matrix<D>) -> Option<Rotation<D>> {
 /// # Errors
 /// [`LeastSquaresError::Singular`] where the entries are not finite.
 pub fn symmetric_eigen<const D: usize>(m: &Matrix<D>) -> Result<([f64; D], [Vector<D>; D]), LeastSquaresError> {
+    if m.iter().flatten().any(|x| !x.is_finite()) {
+        return Err(LeastSquaresError::Singular { pivot: 0 });
+    }
     let matrix = faer::Mat::from_fn(D, D, |r, c| 0.5 * (m[r][c] + m[c][r]));
     let eigen = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
     let (values, vectors) = (eigen.S(), eigen.U());

@@ -168,7 +168,9 @@ pub(super) fn descend<const D: usize>(
         let (candidate, next_costs) = take_step(part, &weights, &costs, &step, damping);
         let next: f64 = sum_in_chunks(part, &next_costs);
         let gain = cost - next;
-        let negligible = (effort.gain_tolerance * sigma * sigma).max(RELATIVE_TOLERANCE * cost);
+        // on exact data the errors are far below the least sigma
+        let squared = (sigma * sigma).min(next / kept.max(1) as f64);
+        let negligible = (effort.gain_tolerance * squared).max(RELATIVE_TOLERANCE * cost);
         if gain > 0.0 {
             (*estimate, costs, cost) = (candidate, next_costs, next);
             damping = (damping * 0.1).max(FIRST_DAMPING);
@@ -465,6 +467,22 @@ pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among:
     }
     let unknowns = (D * (points + part.n_views)).saturating_sub(D + 1);
     sigma_from_chords::<D>(&mut sample, kept, unknowns).max(SIGMA_FLOOR_RAD)
+}
+
+/// Root mean square of the kept chords over the degrees of freedom: steadier than a quantile once outliers are gone.
+/// `None` where nothing is left over.
+pub(super) fn sigma_of_inliers<const D: usize>(part: &Part<D>, chords: &[f64], keep: &[bool]) -> Option<f64> {
+    let (mut squared, mut kept, mut points) = (0.0, 0usize, 0usize);
+    for j in 0..part.n_tracks() {
+        let before = kept;
+        for o in part.observations(j).filter(|&o| keep[o]) {
+            squared += chords[o] * chords[o];
+            kept += 1;
+        }
+        points += usize::from(kept > before);
+    }
+    let freedom = ((D - 1) * kept + D + 1).checked_sub(D * (points + part.n_views))?;
+    (freedom > 0).then(|| (squared / freedom as f64).sqrt().max(SIGMA_FLOOR_RAD))
 }
 
 /// Observations within a limit of their prediction, of points that keep at least two views.

@@ -10,6 +10,8 @@ use super::start::{Estimate, FAR, for_each_chunk, squared_chord};
 /// gives by this much: its inverse depth is then known to a quarter or better. Below, depth is too far from linear in the
 /// rays for Gauss-Newton, and the track holds next to nothing.
 const PARALLAX_SQUARED: f64 = 16.0;
+/// Share of the observations whose tracks noise alone may show with parallax.
+const CHANCE_PARALLAX: f64 = 0.1;
 /// A view keeps its tracks without parallax while it has fewer than this many others.
 const ENOUGH_OBSERVATIONS: u32 = 24;
 /// Pairs of rays tried for a track that lost most of its rays.
@@ -42,10 +44,12 @@ pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], si
         }
     }
     let informative: u32 = others.iter().sum();
+    let kept = keep.iter().filter(|&&k| k).count() as f64;
+    let needed = (CHANCE_PARALLAX * kept).max(2.0 * part.n_views as f64);
     let left_out = parallel.iter().enumerate().map(|(j, parallel)| {
         *parallel && part.observations(j).all(|o| others[part.view[o] as usize] >= ENOUGH_OBSERVATIONS)
     });
-    Parallel { left_out: left_out.collect(), everything: (informative as usize) < D * part.n_views }
+    Parallel { left_out: left_out.collect(), everything: f64::from(informative) < needed }
 }
 
 /// Mean direction of the rays for which `keep` holds, the squared scatter about it weighted by precision, their number.

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::descent::{
     Effort, FIRST_OUTLIER_SIGMAS, NewtonWeights, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale,
+    sigma_of_inliers,
 };
 use super::information::{assemble_information, weakest_mode_is_loose};
 use super::linear::solve_linear;
@@ -11,7 +12,7 @@ use super::options::{LinearForm, LinearGauge};
 use super::part::{Lanes, Part};
 use super::points::{reconsider, without_parallax};
 use super::reduced::ReducedSystem;
-use super::start::{Estimate, Start, every_start, normalise, repair_cheirality, robust_start};
+use super::start::{Estimate, Start, linear_starts, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 
@@ -71,24 +72,27 @@ fn solve_regular_part<const D: usize>(
     let mut system = ReducedSystem::analyse(part, solver)?;
     timings.analyse_s += clock.elapsed().as_secs_f64();
 
+    let given = start.is_some();
     let clock = Instant::now();
-    let starts = match start {
+    let first = match start {
         Some(mut estimate) => {
             scale_to_unit(&mut estimate);
-            vec![Start { estimate, steps: 0 }]
+            Start { estimate, steps: 0 }
         }
-        None if freedom_of(part) < LOW_REDUNDANCY => every_start(part, &mut system)?,
-        None => vec![robust_start(part, &mut system)?],
+        None => robust_start(part, &mut system)?,
     };
     timings.start_s += clock.elapsed().as_secs_f64();
 
     let clock = Instant::now();
-    let steps: usize = starts.iter().map(|start| start.steps).sum();
-    let mut ends = Vec::with_capacity(starts.len());
-    for start in starts {
-        ends.push(settle(part, &mut system, start.estimate, max_iterations)?);
+    let mut iterations = first.steps;
+    let mut ends = vec![settle(part, &mut system, first.estimate, max_iterations)?];
+    if !given && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &ends[0].inlier) > MANY_LOST) {
+        for start in linear_starts(part, &mut system)? {
+            iterations += start.steps;
+            ends.push(settle(part, &mut system, start.estimate, max_iterations)?);
+        }
     }
-    let iterations = steps + ends.iter().map(|end| end.iterations).sum::<usize>();
+    iterations += ends.iter().map(|end| end.iterations).sum::<usize>();
     let Some(best) = best_of(ends) else { return Ok(PartSolution::nothing(part)) };
     let weights = NewtonWeights::new(part, &best.estimate, &best.active, best.sigma);
     let loose = best.without_parallax || is_loose(part, &mut system, &weights, best.sigma)?;
@@ -102,9 +106,25 @@ fn solve_regular_part<const D: usize>(
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations, status })
 }
 
-/// Below this share of equations beyond the unknowns, re-weighting may settle on a wrong half of the observations: every
-/// start is followed, and the best end taken.
+/// Below this share of equations beyond the unknowns, re-weighting may settle on a wrong half of the observations: other
+/// starts are followed too, and the best end taken.
 const LOW_REDUNDANCY: f64 = 0.45;
+
+/// So too where more than this share of the longer tracks lost most of their observations: outliers that stray one by one
+/// leave tracks whole, a body that moves, or a start that followed it, does not.
+const MANY_LOST: f64 = 0.08;
+
+/// Tracks of four observations and more that keep less than half of them, as a share.
+fn share_of_lost_tracks<const D: usize>(part: &Part<D>, inlier: &[bool]) -> f64 {
+    let (mut long, mut lost) = (0usize, 0usize);
+    for j in 0..part.n_tracks() {
+        let observations = part.observations(j);
+        let count = observations.len();
+        long += usize::from(count >= 4);
+        lost += usize::from(count >= 4 && 2 * observations.filter(|&o| inlier[o]).count() < count);
+    }
+    lost as f64 / long.max(1) as f64
+}
 
 /// Equations beyond the unknowns, as a share of all equations.
 fn freedom_of<const D: usize>(part: &Part<D>) -> f64 {
@@ -148,6 +168,8 @@ fn settle<const D: usize>(
         inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
         if effort.is_full() {
             let (chord, converged) = (chords(part, &estimate), descent.converged);
+            let kept: Vec<bool> = active.iter().zip(&inlier).map(|(a, i)| *a && *i).collect();
+            sigma = sigma_of_inliers(part, &chord, &kept).unwrap_or(sigma);
             let without_parallax = parallel.everything;
             return Ok(Settled { estimate, inlier, active, chord, sigma, iterations, converged, without_parallax });
         }

@@ -322,16 +322,15 @@ pub(super) fn robust_start<const D: usize>(
     reweighted(part, system, estimate)
 }
 
-/// The robust start, and those of the linear steps by themselves: from parallax weights and from equal ones.
-pub(super) fn every_start<const D: usize>(
+/// The starts of single linear steps, without re-weighting: from parallax weights and from equal ones.
+pub(super) fn linear_starts<const D: usize>(
     part: &Part<D>,
     system: &mut ReducedSystem<D>,
-) -> Result<Vec<Start>, LeastSquaresError> {
+) -> Result<[Start; 2], LeastSquaresError> {
     let by_parallax = linear_step(part, system, &parallax_weights(part))?;
     let equal = ParallaxWeights { part, weight: vec![1.0; part.n_tracks()] };
     let equal = linear_step(part, system, &equal)?;
-    let robust = reweighted(part, system, by_parallax.clone())?;
-    Ok(vec![robust, Start { estimate: by_parallax, steps: 0 }, Start { estimate: equal, steps: 1 }])
+    Ok([Start { estimate: by_parallax, steps: 1 }, Start { estimate: equal, steps: 1 }])
 }
 
 fn reweighted<const D: usize>(
