@@ -12,7 +12,7 @@ use super::options::{LinearForm, LinearGauge};
 use super::part::{Lanes, Part};
 use super::points::{reconsider, without_parallax};
 use super::reduced::ReducedSystem;
-use super::start::{Estimate, Start, linear_starts, normalise, repair_cheirality, robust_start};
+use super::start::{Estimate, Start, StartWeights, linear_start, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 
@@ -87,9 +87,15 @@ fn solve_regular_part<const D: usize>(
     let mut iterations = first.steps;
     let mut ends = vec![settle(part, &mut system, first.estimate, max_iterations)?];
     if !given && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &ends[0].inlier) > MANY_LOST) {
-        for start in linear_starts(part, &mut system)? {
-            iterations += start.steps;
-            ends.push(settle(part, &mut system, start.estimate, max_iterations)?);
+        for weights in [StartWeights::Parallax, StartWeights::Equal] {
+            // a start that leads nowhere is no loss: there is one end already
+            let start = linear_start(part, &mut system, weights);
+            match start.and_then(|start| settle(part, &mut system, start, max_iterations)) {
+                Ok(end) => ends.push(end),
+                Err(LeastSquaresError::Singular { .. }) => {}
+                Err(error) => return Err(error),
+            }
+            iterations += 1;
         }
     }
     iterations += ends.iter().map(|end| end.iterations).sum::<usize>();

@@ -322,15 +322,23 @@ pub(super) fn robust_start<const D: usize>(
     reweighted(part, system, estimate)
 }
 
-/// The starts of single linear steps, without re-weighting: from parallax weights and from equal ones.
-pub(super) fn linear_starts<const D: usize>(
+/// Weights of a single linear step.
+#[derive(Clone, Copy)]
+pub(super) enum StartWeights {
+    Parallax,
+    Equal,
+}
+
+/// The start of a single linear step, without re-weighting.
+pub(super) fn linear_start<const D: usize>(
     part: &Part<D>,
     system: &mut ReducedSystem<D>,
-) -> Result<[Start; 2], LeastSquaresError> {
-    let by_parallax = linear_step(part, system, &parallax_weights(part))?;
-    let equal = ParallaxWeights { part, weight: vec![1.0; part.n_tracks()] };
-    let equal = linear_step(part, system, &equal)?;
-    Ok([Start { estimate: by_parallax, steps: 1 }, Start { estimate: equal, steps: 1 }])
+    weights: StartWeights,
+) -> Result<Estimate, LeastSquaresError> {
+    match weights {
+        StartWeights::Parallax => linear_step(part, system, &parallax_weights(part)),
+        StartWeights::Equal => linear_step(part, system, &ParallaxWeights { part, weight: vec![1.0; part.n_tracks()] }),
+    }
 }
 
 fn reweighted<const D: usize>(
