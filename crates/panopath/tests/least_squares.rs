@@ -1,5 +1,5 @@
 //! Sparse block systems against dense arithmetic: factorisation, slots, conjugate gradients, small decompositions.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::needless_range_loop)]
 
 mod common;
 
@@ -121,8 +121,8 @@ proptest! {
         for start in [0.0, 1.0] {
             let mut x = vec![start; 3 * n];
             let end = conjugate_gradients(
-                &mut |p, q| q.copy_from_slice(&multiply(&system.dense, p)),
-                &mut |r, z| z.iter_mut().zip(r).zip(&diagonal).for_each(|((z, r), d)| *z = r / d),
+                |p: &[f64], q: &mut [f64]| q.copy_from_slice(&multiply(&system.dense, p)),
+                |r: &[f64], z: &mut [f64]| z.iter_mut().zip(r).zip(&diagonal).for_each(|((z, r), d)| *z = r / d),
                 &b,
                 &mut x,
                 1e-13,
@@ -233,18 +233,19 @@ fn predicted_cost_grows_with_fill() {
 fn conjugate_gradients_stop_where_told() {
     let system = random_system::<3>(30, 7);
     let b = vec![1.0; 90];
-    let mut run = |tolerance, limit| {
+    let run = |tolerance, limit| {
         let mut x = vec![0.0; 90];
-        let multiply = &mut |p: &[f64], q: &mut [f64]| q.copy_from_slice(&multiply(&system.dense, p));
-        conjugate_gradients(multiply, &mut |r, z| z.copy_from_slice(r), &b, &mut x, tolerance, limit)
+        let multiply = |p: &[f64], q: &mut [f64]| q.copy_from_slice(&multiply(&system.dense, p));
+        conjugate_gradients(multiply, |r: &[f64], z: &mut [f64]| z.copy_from_slice(r), &b, &mut x, tolerance, limit)
     };
     assert_eq!(run(1e-12, 2).count, 2);
     let (coarse, fine) = (run(1e-2, 1000), run(1e-10, 1000));
     assert!(coarse.count < fine.count && coarse.relative_residual <= 1e-2 && fine.relative_residual <= 1e-10);
     // nothing to do
     let mut x = vec![0.0; 90];
-    let multiply = &mut |p: &[f64], q: &mut [f64]| q.copy_from_slice(p);
-    let end = conjugate_gradients(multiply, &mut |r, z| z.copy_from_slice(r), &[0.0; 90], &mut x, 1e-10, 10);
+    let multiply = |p: &[f64], q: &mut [f64]| q.copy_from_slice(p);
+    let end =
+        conjugate_gradients(multiply, |r: &[f64], z: &mut [f64]| z.copy_from_slice(r), &[0.0; 90], &mut x, 1e-10, 10);
     assert_eq!((end.count, end.relative_residual), (0, 0.0));
 }
 
