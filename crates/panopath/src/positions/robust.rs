@@ -11,7 +11,7 @@ use super::options::{LinearForm, LinearGauge};
 use super::part::{Lanes, Part};
 use super::points::{reconsider, without_parallax};
 use super::reduced::ReducedSystem;
-use super::start::{Estimate, normalise, repair_cheirality, robust_start};
+use super::start::{Estimate, Start, every_start, normalise, repair_cheirality, robust_start};
 use super::{Status, Timings};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 
@@ -72,43 +72,97 @@ fn solve_regular_part<const D: usize>(
     timings.analyse_s += clock.elapsed().as_secs_f64();
 
     let clock = Instant::now();
-    let (mut estimate, mut iterations) = match start {
+    let starts = match start {
         Some(mut estimate) => {
             scale_to_unit(&mut estimate);
-            (estimate, 0)
+            vec![Start { estimate, steps: 0 }]
         }
-        None => robust_start(part, &mut system)?,
+        None if freedom_of(part) < LOW_REDUNDANCY => every_start(part, &mut system)?,
+        None => vec![robust_start(part, &mut system)?],
     };
-    repair_cheirality(part, &mut estimate);
     timings.start_s += clock.elapsed().as_secs_f64();
 
     let clock = Instant::now();
-    let errors = chords(part, &estimate);
-    let mut sigma = noise_scale(part, &errors, |_| true);
-    let mut inlier = inliers(part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
-    let mut effort = Effort::rough(max_iterations, part.n_observations());
-    let (converged, loose) = loop {
-        let parallel = without_parallax(part, &inlier, sigma);
-        let active = without_tracks(part, &inlier, &parallel.left_out);
-        let descent = descend(part, &mut system, &mut estimate, &active, sigma, effort)?;
-        iterations += descent.iterations;
-        sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
-        inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
-        if effort.is_full() {
-            let weights = NewtonWeights::new(part, &estimate, &active, sigma);
-            let loose = parallel.everything || is_loose(part, &mut system, &weights, sigma)?;
-            break (descent.converged, loose);
-        }
-        effort = Effort::full(max_iterations);
-    };
-    let chord = chords(part, &estimate);
-    let status = match (converged, loose) {
+    let steps: usize = starts.iter().map(|start| start.steps).sum();
+    let mut ends = Vec::with_capacity(starts.len());
+    for start in starts {
+        ends.push(settle(part, &mut system, start.estimate, max_iterations)?);
+    }
+    let iterations = steps + ends.iter().map(|end| end.iterations).sum::<usize>();
+    let Some(best) = best_of(ends) else { return Ok(PartSolution::nothing(part)) };
+    let weights = NewtonWeights::new(part, &best.estimate, &best.active, best.sigma);
+    let loose = best.without_parallax || is_loose(part, &mut system, &weights, best.sigma)?;
+    let status = match (best.converged, loose) {
         (_, true) => Status::Ambiguous,
         (true, false) => Status::Converged,
         (false, false) => Status::MaxIterations,
     };
     timings.descent_s += clock.elapsed().as_secs_f64();
+    let Settled { estimate, inlier, chord, sigma, .. } = best;
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations, status })
+}
+
+/// Below this share of equations beyond the unknowns, re-weighting may settle on a wrong half of the observations: every
+/// start is followed, and the best end taken.
+const LOW_REDUNDANCY: f64 = 0.45;
+
+/// Equations beyond the unknowns, as a share of all equations.
+fn freedom_of<const D: usize>(part: &Part<D>) -> f64 {
+    let equations = ((D - 1) * part.n_observations()) as f64;
+    1.0 - (D * (part.n_views + part.n_tracks())) as f64 / equations
+}
+
+/// Where a start led.
+struct Settled {
+    estimate: Estimate,
+    inlier: Vec<bool>,
+    /// The inliers that the last descent used.
+    active: Vec<bool>,
+    chord: Vec<f64>,
+    sigma: f64,
+    iterations: usize,
+    converged: bool,
+    /// So few tracks show parallax that the views cannot be told from one place.
+    without_parallax: bool,
+}
+
+/// Repairs a start, then descends and judges the observations, first roughly and then in full.
+fn settle<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    mut estimate: Estimate,
+    max_iterations: usize,
+) -> Result<Settled, LeastSquaresError> {
+    repair_cheirality(part, &mut estimate);
+    let errors = chords(part, &estimate);
+    let mut sigma = noise_scale(part, &errors, |_| true);
+    let mut inlier = inliers(part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
+    let mut effort = Effort::rough(max_iterations, part.n_observations());
+    let mut iterations = 0;
+    loop {
+        let parallel = without_parallax(part, &inlier, sigma);
+        let active = without_tracks(part, &inlier, &parallel.left_out);
+        let descent = descend(part, system, &mut estimate, &active, sigma, effort)?;
+        iterations += descent.iterations;
+        sigma = noise_scale(part, &chords(part, &estimate), |o| active[o]);
+        inlier = reconsider(part, &mut estimate, &parallel.left_out, sigma);
+        if effort.is_full() {
+            let (chord, converged) = (chords(part, &estimate), descent.converged);
+            let without_parallax = parallel.everything;
+            return Ok(Settled { estimate, inlier, active, chord, sigma, iterations, converged, without_parallax });
+        }
+        effort = Effort::full(max_iterations);
+    }
+}
+
+/// The end whose squared errors, none counted beyond the outlier limit, are least; sigma is the smallest of all ends'.
+fn best_of(ends: Vec<Settled>) -> Option<Settled> {
+    let sigma = ends.iter().map(|end| end.sigma).fold(f64::INFINITY, f64::min);
+    let cost = |end: &Settled| -> f64 {
+        let limit = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
+        end.chord.iter().map(|e| (e / sigma).powi(2)).map(|e| if e < limit { e } else { limit }).sum()
+    };
+    ends.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
 /// Solves one part by the paper's least squares and judges the observations afterwards.

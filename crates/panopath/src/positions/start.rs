@@ -307,23 +307,49 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Linear start and re-weighting. Returns the estimate and the number of linear steps.
+/// A start and the linear steps it took.
+pub(super) struct Start {
+    pub estimate: Estimate,
+    pub steps: usize,
+}
+
+/// Linear start from parallax weights, and re-weighting.
 pub(super) fn robust_start<const D: usize>(
     part: &Part<D>,
     system: &mut ReducedSystem<D>,
-) -> Result<(Estimate, usize), LeastSquaresError> {
-    let mut estimate = linear_step(part, system, &parallax_weights(part))?;
+) -> Result<Start, LeastSquaresError> {
+    let estimate = linear_step(part, system, &parallax_weights(part))?;
+    reweighted(part, system, estimate)
+}
+
+/// The robust start, and those of the linear steps by themselves: from parallax weights and from equal ones.
+pub(super) fn every_start<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+) -> Result<Vec<Start>, LeastSquaresError> {
+    let by_parallax = linear_step(part, system, &parallax_weights(part))?;
+    let equal = ParallaxWeights { part, weight: vec![1.0; part.n_tracks()] };
+    let equal = linear_step(part, system, &equal)?;
+    let robust = reweighted(part, system, by_parallax.clone())?;
+    Ok(vec![robust, Start { estimate: by_parallax, steps: 0 }, Start { estimate: equal, steps: 1 }])
+}
+
+fn reweighted<const D: usize>(
+    part: &Part<D>,
+    system: &mut ReducedSystem<D>,
+    mut estimate: Estimate,
+) -> Result<Start, LeastSquaresError> {
     let mut previous = f64::INFINITY;
     for round in 1..=MAX_ROUNDS {
         let scale = (SCALE_OVER_SIGMA * noise_of(part, &estimate)).max(SCALE_FLOOR_RAD);
         if (scale / previous - 1.0).abs() < SCALE_TOLERANCE {
-            return Ok((estimate, round));
+            return Ok(Start { estimate, steps: round });
         }
         previous = scale;
         let weights = RobustWeights { part, estimate: &estimate, inverse_scale_squared: 1.0 / (scale * scale) };
         estimate = linear_step(part, system, &weights)?;
     }
-    Ok((estimate, MAX_ROUNDS + 1))
+    Ok(Start { estimate, steps: MAX_ROUNDS + 1 })
 }
 
 /// Distance, in baselines of the track, beyond which depth means nothing.
