@@ -1,5 +1,5 @@
 //! The laws of vectors, rotations and similarities, written once and run in the plane and in space.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::needless_range_loop)]
 
 mod common;
 
@@ -39,8 +39,8 @@ fn check_group<const D: usize>(seed: u64) {
 
 fn check_tangents<const D: usize>(direction: &Vector<D>) {
     let basis = tangent_basis(direction);
-    for k in 0..D - 1 {
-        assert!(dot(&basis[k], direction).abs() < 1e-14 && (norm(&basis[k]) - 1.0).abs() < 1e-14, "{direction:?}");
+    for tangent in &basis[..D - 1] {
+        assert!(dot(tangent, direction).abs() < 1e-14 && (norm(tangent) - 1.0).abs() < 1e-14, "{direction:?}");
     }
     if D == 3 {
         assert!(dot(&basis[0], &basis[1]).abs() < 1e-14, "{direction:?}");
@@ -93,11 +93,11 @@ proptest! {
         let r = Rotation::exp(&phi);
         let angle = norm(&phi);
         prop_assert!(norm(&sub(&r.apply(&phi), &phi)) <= 1e-15 * (1.0 + angle));
-        // a vector across the axis turns by the angle, to full relative accuracy
+        // a vector across the axis turns by the angle
         let across = tangent_basis(&normalized(&phi))[0];
         let turned = angle_between(&r.apply(&across), &across);
         let wanted = if angle > std::f64::consts::PI { std::f64::consts::TAU - angle } else { angle };
-        prop_assert!((turned - wanted).abs() < 1e-15 + 1e-8 * wanted * f64::from(u8::from(wanted > 3.14)) + 1e-13 * wanted.max(1e-3));
+        prop_assert!((turned - wanted).abs() < 4e-15);
         prop_assert!(distance(&Rotation::exp(&scale(-1.0, &phi)), &r.inverse()) < 1e-15);
         prop_assert!(distance(&Rotation::exp(&scale(0.5, &phi)).compose(&Rotation::exp(&scale(0.5, &phi))), &r) < 1e-14);
         prop_assert!(Rotation::from_matrix(*r.matrix()).is_some());

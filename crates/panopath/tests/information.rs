@@ -1,5 +1,5 @@
 //! The Cramer-Rao covariance against a dense information matrix and against the scatter of many solves.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::needless_range_loop)]
 
 mod common;
 

@@ -1,5 +1,5 @@
 //! Sparse block systems against dense arithmetic: factorisation, slots, conjugate gradients, small decompositions.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::needless_range_loop)]
 
 mod common;
 

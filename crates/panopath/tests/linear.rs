@@ -1,5 +1,5 @@
 //! The paper's own least squares: exact worlds under every form, axis and gauge, and where they fall short.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, clippy::needless_range_loop)]
 
 mod common;
 
