@@ -234,18 +234,44 @@ fn take_step<const D: usize>(
 ) -> (Estimate, Vec<f64>) {
     let centers: Vec<Lanes> = weights.estimate.centers.iter().zip(step).map(|(c, d)| c.plus(d)).collect();
     let mut moved = vec![(Lanes::ZERO, 0.0); part.n_tracks()];
-    for_each_chunk(part, &mut moved, |tracks, out| {
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                for (j, moved) in tracks.zip(out) {
-                    *moved = move_point(part, j, weights, costs[j], step, &centers, damping);
-                }
-            },
-        );
+    for_each_chunk(part, &mut moved, |tracks, moved| {
+        pulp::Arch::new().dispatch(PointMoves {
+            part,
+            tracks,
+            weights,
+            costs,
+            step,
+            centers: &centers,
+            damping,
+            moved,
+        });
     });
     let (points, costs) = moved.into_iter().unzip();
     (Estimate { centers, points }, costs)
+}
+
+/// Moves a chunk of points; see [`Elimination`](super::reduced) for why this is no closure.
+struct PointMoves<'a, const D: usize> {
+    part: &'a Part<D>,
+    tracks: std::ops::Range<usize>,
+    weights: &'a NewtonWeights<'a, D>,
+    costs: &'a [f64],
+    step: &'a [Lanes],
+    centers: &'a [Lanes],
+    damping: f64,
+    moved: &'a mut [(Lanes, f64)],
+}
+
+impl<const D: usize> pulp::WithSimd for PointMoves<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { part, tracks, weights, costs, step, centers, damping, moved } = self;
+        for (j, moved) in tracks.zip(moved) {
+            *moved = move_point(part, j, weights, costs[j], step, centers, damping);
+        }
+    }
 }
 
 /// Normal equations of one point: the factor, the gradient, and the share of information that lies in depth.
@@ -256,7 +282,7 @@ struct PointModel<const D: usize> {
     depth_share: f64,
 }
 
-/// Sums the models of a point's observations; `shift` moves each view's centre. `None` where nothing is kept.
+/// Sums the models of a point's observations; `step` moves each view's centre. `None` where nothing is kept.
 #[inline(always)]
 fn point_model<const D: usize>(
     part: &Part<D>,

@@ -16,6 +16,8 @@ use crate::tracks::Tracks;
 
 /// An exact ambiguity seen through noise is this many times stiffer than expected, at most.
 const NOISE_MULTIPLE: f64 = 5.0;
+/// Tracks whose stretch is looked at, at most about twice this many.
+const STRETCH_TRACKS: usize = 10_000;
 /// Relative damping that keeps exact gauge freedoms factorisable.
 const GUARD: f64 = 1e-12;
 /// A mode whose movement at one standard deviation exceeds this share of the rms size of the path is not determined.
@@ -120,8 +122,10 @@ struct Stretch {
 fn stretch_of<const D: usize>(part: &Part<D>, weights: &NewtonWeights<'_, D>, displacement: &[Lanes]) -> Stretch {
     let estimate = weights.estimate();
     let mut per_track = vec![(0.0, 0.0); part.n_tracks()];
+    // only the ratio of the two sums matters: some tracks stand for all
+    let stride = part.n_tracks().div_ceil(STRETCH_TRACKS);
     for_each_chunk(part, &mut per_track, |tracks, out| {
-        for (j, sums) in tracks.zip(out) {
+        for (j, sums) in tracks.zip(out).filter(|(j, _)| j % stride == 0) {
             let Some(follow) = point_displacement(part, j, weights, displacement) else { continue };
             let (mut rates, mut turned) = (Vec::new(), 0.0);
             for o in part.observations(j).filter(|&o| weights.keep()[o]) {

@@ -169,14 +169,13 @@ fn check<const D: usize>(
     {
         return Err(PositionError::Orientations { found: rotations.len(), expected });
     }
-    if let Some((centers, points)) = &options.start {
-        if (centers.len(), points.len()) != (expected, tracks.n_tracks()) {
-            let (n, m) = (centers.len(), points.len());
-            let wanted = tracks.n_tracks();
-            return Err(PositionError::Start(format!(
-                "{n} centres and {m} points given, expected {expected} and {wanted}"
-            )));
-        }
+    if let Some((centers, points)) = &options.start
+        && (centers.len(), points.len()) != (expected, tracks.n_tracks())
+    {
+        let (n, m, wanted) = (centers.len(), points.len(), tracks.n_tracks());
+        return Err(PositionError::Start(format!(
+            "{n} centres and {m} points given, expected {expected} and {wanted}"
+        )));
     }
     if let Method::Linear { form: LinearForm::TwoStage { vertical_axis }, .. } = options.method
         && vertical_axis >= D

@@ -86,7 +86,7 @@ fn crossing<const D: usize>(seen: &Sightings<'_, D>, a: u32, b: u32, parallel_ra
 pub(super) fn jointly_scaled_parts<const D: usize>(seen: &Sightings<'_, D>, keep: &[bool]) -> Parts {
     let stride = (seen.view.len() / (QUICK_OBSERVATIONS * seen.n_views.max(1))).max(1);
     if stride > 1 {
-        let quick = Search::new(seen, |o| keep[o] && seen.track[o] as usize % stride == 0).bodies();
+        let quick = Search::new(seen, |o| keep[o] && (seen.track[o] as usize).is_multiple_of(stride)).bodies();
         if quick.len() == 1 && spans_all_views(seen, keep, &quick[0]) {
             return single_part(seen, keep);
         }

@@ -88,10 +88,12 @@ pub(super) fn reconsider<const D: usize>(
             let count = part.observations(j).len();
             if parallel[j] {
                 (*point, *refit) = (far_away(part, j, centers, point, limit), true);
-            } else if count > 2 && agreeing < count && (agreeing < 3 || 2 * agreeing < count) {
-                if let Some(better) = best_hypothesis(part, j, centers, point, limit) {
-                    (*point, *refit) = (better, true);
-                }
+            } else if count > 2
+                && agreeing < count
+                && (agreeing < 3 || 2 * agreeing < count)
+                && let Some(better) = best_hypothesis(part, j, centers, point, limit)
+            {
+                (*point, *refit) = (better, true);
             }
         }
     });

@@ -284,10 +284,15 @@ impl<const D: usize> ReducedSystem<D> {
     pub fn assemble(&mut self, part: &Part<D>, weighing: &impl Weighing<D>, damping: Damping) {
         let (pattern, locator) = (&self.pattern, &self.locator);
         self.accumulators.par_iter_mut().zip(&part.chunks).for_each(|(sums, tracks)| {
-            pulp::Arch::new().dispatch(
-                #[inline(always)]
-                || eliminate_points(part, tracks.clone(), pattern, locator, weighing, damping.point, sums),
-            );
+            pulp::Arch::new().dispatch(Elimination {
+                part,
+                tracks: tracks.clone(),
+                pattern,
+                locator,
+                weighing,
+                point_damping: damping.point,
+                sums,
+            });
         });
         self.gather(damping.view);
     }
@@ -472,6 +477,28 @@ impl Accumulator {
     }
 }
 
+/// The arguments of [`eliminate_points`], to be run with the widest instruction set. A closure would not do: it is compiled
+/// by itself, for the narrowest.
+struct Elimination<'a, const D: usize, W> {
+    part: &'a Part<D>,
+    tracks: std::ops::Range<usize>,
+    pattern: &'a BlockPattern,
+    locator: &'a Locator,
+    weighing: &'a W,
+    point_damping: f64,
+    sums: &'a mut Accumulator,
+}
+
+impl<const D: usize, W: Weighing<D>> pulp::WithSimd for Elimination<'_, D, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { part, tracks, pattern, locator, weighing, point_damping, sums } = self;
+        eliminate_points(part, tracks, pattern, locator, weighing, point_damping, sums);
+    }
+}
+
 /// Eliminates the points of one chunk of tracks. Inlined into each instruction set's copy.
 #[inline(always)]
 fn eliminate_points<const D: usize>(
@@ -510,7 +537,8 @@ fn point_block<const D: usize>(
         sum.add(&model);
         scratch.models.push(model);
     }
-    (!sum.is_empty()).then(|| (sum.factor(point_damping, &weighing.depth_axis(j)), sum.gradient))
+    // a closure in `then` would not be inlined into the wide instruction set
+    if sum.is_empty() { None } else { Some((sum.factor(point_damping, &weighing.depth_axis(j)), sum.gradient)) }
 }
 
 /// Adds each observation's own camera block and right-hand side, and leaves `L^-1 M` of each view in scratch.

@@ -207,17 +207,31 @@ fn linear_step<const D: usize>(
     let mut centers = system.solve()?;
     let scale = normalise(&mut centers);
     let mut points = vec![Lanes::ZERO; part.n_tracks()];
-    for_each_chunk(part, &mut points, |tracks, out| {
-        pulp::Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                for (j, point) in tracks.zip(out) {
-                    *point = triangulate(part, j, &centers, scale, weighing);
-                }
-            },
-        );
+    for_each_chunk(part, &mut points, |tracks, points| {
+        pulp::Arch::new().dispatch(Triangulation { part, tracks, centers: &centers, scale, weighing, points });
     });
     Ok(Estimate { centers, points })
+}
+
+/// Triangulates a chunk of tracks; see [`Elimination`](super::reduced) for why this is no closure.
+struct Triangulation<'a, const D: usize, W> {
+    part: &'a Part<D>,
+    tracks: std::ops::Range<usize>,
+    centers: &'a [Lanes],
+    scale: f64,
+    weighing: &'a W,
+    points: &'a mut [Lanes],
+}
+
+impl<const D: usize, W: Weighing<D>> pulp::WithSimd for Triangulation<'_, D, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        for (j, point) in self.tracks.zip(self.points) {
+            *point = triangulate(self.part, j, self.centers, self.scale, self.weighing);
+        }
+    }
 }
 
 /// The point that minimises the models of its observations, given the centres. `scale` is that of the gradients.
