@@ -181,11 +181,10 @@ fn best_hypothesis<const D: usize>(
 ) -> Option<Lanes> {
     let observations = part.observations(j);
     let count = observations.len();
-    let pairs = (1..count).flat_map(|gap| (0..count - gap).map(move |i| (i, i + gap)));
     // wide pairs first: they fix the depth best
-    let pairs: Vec<(usize, usize)> = pairs.collect();
+    let pairs = (1..count).rev().flat_map(|gap| (0..count - gap).map(move |i| (i, i + gap)));
     let mut best = (truncated_cost(part, j, centers, point, limit), None);
-    for (i, k) in pairs.into_iter().rev().take(MAX_HYPOTHESES) {
+    for (i, k) in pairs.take(MAX_HYPOTHESES) {
         let pair = [observations.start + i, observations.start + k];
         if part.view[pair[0]] == part.view[pair[1]] {
             continue;
