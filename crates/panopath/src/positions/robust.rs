@@ -84,22 +84,24 @@ fn solve_regular_part<const D: usize>(
     timings.start_s += clock.elapsed().as_secs_f64();
 
     let clock = Instant::now();
-    let mut iterations = first.steps;
-    let mut ends = vec![settle(part, &mut system, first.estimate, max_iterations)?];
-    if !given && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &ends[0].inlier) > MANY_LOST) {
+    let steps = first.steps;
+    let mut best = settle(part, &mut system, first.estimate, max_iterations)?;
+    if !given && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &best.inlier) > MANY_LOST) {
+        let mut others = Vec::new();
         for weights in [StartWeights::Parallax, StartWeights::Equal] {
             // a start that leads nowhere is no loss: there is one end already
             let start = linear_start(part, &mut system, weights);
             match start.and_then(|start| settle(part, &mut system, start, max_iterations)) {
-                Ok(end) => ends.push(end),
+                Ok(end) => others.push(end),
                 Err(LeastSquaresError::Singular { .. }) => {}
                 Err(error) => return Err(error),
             }
-            iterations += 1;
         }
+        best = best_of(best, others);
+        // a start that was far off has left its marks on which observations are kept
+        let again = settle(part, &mut system, best.estimate.clone(), max_iterations)?;
+        best = best_of(best, vec![again]);
     }
-    iterations += ends.iter().map(|end| end.iterations).sum::<usize>();
-    let Some(best) = best_of(ends) else { return Ok(PartSolution::nothing(part)) };
     let weights = NewtonWeights::new(part, &best.estimate, &best.active, best.sigma);
     let loose = best.without_parallax || is_loose(part, &mut system, &weights, best.sigma)?;
     let status = match (best.converged, loose) {
@@ -108,6 +110,7 @@ fn solve_regular_part<const D: usize>(
         (false, false) => Status::MaxIterations,
     };
     timings.descent_s += clock.elapsed().as_secs_f64();
+    let iterations = steps + best.iterations;
     let Settled { estimate, inlier, chord, sigma, .. } = best;
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations, status })
 }
@@ -183,14 +186,17 @@ fn settle<const D: usize>(
     }
 }
 
-/// The end whose squared errors, none counted beyond the outlier limit, are least; sigma is the smallest of all ends'.
-fn best_of(ends: Vec<Settled>) -> Option<Settled> {
-    let sigma = ends.iter().map(|end| end.sigma).fold(f64::INFINITY, f64::min);
+/// The end whose squared errors, none counted beyond the outlier limit, are least; sigma is the smallest of all ends'. Counts
+/// the iterations of all.
+fn best_of(first: Settled, others: Vec<Settled>) -> Settled {
+    let iterations = others.iter().fold(first.iterations, |sum, end| sum + end.iterations);
+    let sigma = others.iter().fold(first.sigma, |least, end| least.min(end.sigma));
     let cost = |end: &Settled| -> f64 {
         let limit = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
         end.chord.iter().map(|e| (e / sigma).powi(2)).map(|e| if e < limit { e } else { limit }).sum()
     };
-    ends.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
+    let best = others.into_iter().fold(first, |best, end| if cost(&end) < cost(&best) { end } else { best });
+    Settled { iterations, ..best }
 }
 
 /// Solves one part by the paper's least squares and judges the observations afterwards.
