@@ -2,7 +2,7 @@
 //!
 //! Points are eliminated as in the linear steps, with `M = p (I - u u^T)/r^2`, `u` the predicted direction. Damping starts
 //! at 1e-12 and rises only when a step is rejected: larger damping holds the weak drift modes of long chains. A point of
-//! low parallax steps in inverse depth; a point whose cost jumps takes the best of three other moves.
+//! low parallax steps in inverse depth; a point whose cost rises is fitted again to the moved cameras.
 
 use rayon::prelude::*;
 
@@ -37,6 +37,7 @@ pub(super) const FIRST_OUTLIER_SIGMAS: f64 = 20.0;
 /// Huber's threshold in sigma.
 pub(super) const HUBER_SIGMAS: f64 = 3.0;
 
+/// Gauss-Newton's model of each observation at an estimate.
 pub(super) struct NewtonWeights<'a, const D: usize> {
     part: &'a Part<D>,
     estimate: &'a Estimate,

@@ -140,8 +140,8 @@ pub fn solve_positions<const D: usize>(
     check(tracks, cam_from_world, options)?;
     let clock = Instant::now();
     let rays = Rays::new(tracks, cam_from_world);
-    let mut timings = Timings { layout_s: clock.elapsed().as_secs_f64(), ..Timings::default() };
     let parts = rays.parts(tracks, options.split_parts, None);
+    let mut timings = Timings { layout_s: clock.elapsed().as_secs_f64(), ..Timings::default() };
     let mut answer = Answer::solve(tracks, &rays, &parts, options, &mut timings)?;
 
     let clock = Instant::now();

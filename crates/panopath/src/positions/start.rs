@@ -77,11 +77,11 @@ const MAX_ROUNDS: usize = 10;
 const LINEAR_DAMPING: Damping = Damping { point: 0.0, view: 1e-12 };
 
 /// Runs `task` over the chunks of a part in parallel, each with its own slice of `out` (one entry per track).
-pub(super) fn for_each_chunk<T: Send, const D: usize, R: Send>(
+pub(super) fn for_each_chunk<T: Send, const D: usize>(
     part: &Part<D>,
     out: &mut [T],
-    task: impl Fn(std::ops::Range<usize>, &mut [T]) -> R + Sync,
-) -> Vec<R> {
+    task: impl Fn(std::ops::Range<usize>, &mut [T]) + Sync,
+) {
     let mut pieces = Vec::with_capacity(part.chunks.len());
     let mut rest = out;
     for tracks in &part.chunks {
@@ -89,7 +89,7 @@ pub(super) fn for_each_chunk<T: Send, const D: usize, R: Send>(
         pieces.push((tracks.clone(), piece));
         rest = tail;
     }
-    pieces.into_par_iter().map(|(tracks, piece)| task(tracks, piece)).collect()
+    pieces.into_par_iter().for_each(|(tracks, piece)| task(tracks, piece));
 }
 
 /// Squared chord between the ray and the predicted direction, and the reciprocal distance.
@@ -101,13 +101,13 @@ pub(super) fn squared_chord<const D: usize>(ray: &Lanes, point: &Lanes, center: 
     (error.dot::<D>(&error), reciprocal)
 }
 
-/// First weights: how far the rays of a track are from parallel, which needs no positions.
-struct ParallaxWeights<'a, const D: usize> {
+/// One weight for each track, which needs no positions.
+struct TrackWeights<'a, const D: usize> {
     part: &'a Part<D>,
     weight: Vec<f64>,
 }
 
-impl<const D: usize> Weighing<D> for ParallaxWeights<'_, D> {
+impl<const D: usize> Weighing<D> for TrackWeights<'_, D> {
     #[inline(always)]
     fn observe(&self, o: usize, j: usize) -> Quadratic {
         weighted_ray(&self.part.ray[o], self.weight[j], self.weight[j])
@@ -156,7 +156,7 @@ fn weighted_ray(ray: &Lanes, weight: f64, omega: f64) -> Quadratic {
 
 /// Smallest eigenvalue of `sum (I - v v^T)` over the number of rays, the mean squared parallax of each track, turned into
 /// a weight: what noise alone would give is taken off. With unit weights, points at infinity would collapse the start.
-fn parallax_weights<const D: usize>(part: &Part<D>) -> ParallaxWeights<'_, D> {
+fn parallax_weights<const D: usize>(part: &Part<D>) -> TrackWeights<'_, D> {
     let noise = SCALE_FLOOR_RAD * SCALE_FLOOR_RAD;
     let mut weight = vec![0.0; part.n_tracks()];
     for_each_chunk(part, &mut weight, |tracks, out| {
@@ -179,7 +179,7 @@ fn parallax_weights<const D: usize>(part: &Part<D>) -> ParallaxWeights<'_, D> {
     let mut beyond_noise: Vec<f64> = weight.iter().copied().filter(|&q| q > 2.0 * noise).collect();
     let cap = if beyond_noise.is_empty() { f64::INFINITY } else { LARGEST_WEIGHT * median(&mut beyond_noise) };
     weight.iter_mut().for_each(|q| *q = q.min(cap));
-    ParallaxWeights { part, weight }
+    TrackWeights { part, weight }
 }
 
 /// Largest eigenvalue of a symmetric 3 x 3 matrix (trigonometric solution of the cubic).
@@ -351,7 +351,7 @@ pub(super) fn linear_start<const D: usize>(
 ) -> Result<Estimate, LeastSquaresError> {
     match weights {
         StartWeights::Parallax => linear_step(part, system, &parallax_weights(part)),
-        StartWeights::Equal => linear_step(part, system, &ParallaxWeights { part, weight: vec![1.0; part.n_tracks()] }),
+        StartWeights::Equal => linear_step(part, system, &TrackWeights { part, weight: vec![1.0; part.n_tracks()] }),
     }
 }
 
