@@ -14,6 +14,10 @@ const PARALLAX_SQUARED: f64 = 16.0;
 const CHANCE_PARALLAX: f64 = 0.1;
 /// A view keeps its tracks without parallax while it has fewer than this many others.
 const ENOUGH_OBSERVATIONS: u32 = 24;
+/// Squared errors, over the squared limit, up to which rays take part in the next step of a hypothesis.
+const NEARBY: f64 = 9.0;
+/// Steps of a hypothesis, the pair itself among them.
+const LOCAL_STEPS: usize = 3;
 /// Pairs of rays tried for a track that lost most of its rays.
 const MAX_HYPOTHESES: usize = 12;
 
@@ -86,14 +90,12 @@ pub(super) fn reconsider<const D: usize>(
         for (j, (point, refit)) in tracks.zip(out) {
             let agreeing = agree(part, j, centers, point, limit);
             let count = part.observations(j).len();
-            if parallel[j] {
-                (*point, *refit) = (far_away(part, j, centers, point, limit), true);
-            } else if count > 2
-                && agreeing < count
-                && (agreeing < 3 || 2 * agreeing < count)
-                && let Some(better) = best_hypothesis(part, j, centers, point, limit)
-            {
+            let lost = count > 2 && agreeing < count && (agreeing < 3 || 2 * agreeing < count);
+            let better = if lost { best_hypothesis(part, j, centers, point, limit) } else { None };
+            if let Some(better) = better {
                 (*point, *refit) = (better, true);
+            } else if parallel[j] {
+                (*point, *refit) = (far_away(part, j, centers, point, limit), true);
             }
         }
     });
@@ -189,10 +191,16 @@ fn best_hypothesis<const D: usize>(
         if part.view[pair[0]] == part.view[pair[1]] {
             continue;
         }
-        let candidate = intersect_rays::<D>(part, pair.into_iter(), centers, point);
-        let cost = truncated_cost(part, j, centers, &candidate, limit);
-        if cost < best.0 {
-            best = (cost, Some(candidate));
+        // two rays fix a point coarsely: those that pass it by a little more than the limit fix it better
+        let mut candidate = intersect_rays::<D>(part, pair.into_iter(), centers, point);
+        for _ in 0..LOCAL_STEPS {
+            let cost = truncated_cost(part, j, centers, &candidate, limit);
+            if cost < best.0 {
+                best = (cost, Some(candidate));
+            }
+            let near = |&o: &usize| squared_error(part, o, centers, &candidate) < NEARBY * limit;
+            let nearby: Vec<usize> = observations.clone().filter(near).collect();
+            candidate = intersect_rays::<D>(part, nearby.into_iter(), centers, &candidate);
         }
     }
     best.1
