@@ -15,6 +15,9 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 # the interpreter that pyo3 configures itself for: the same for cargo and for maturin, or it is compiled twice
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
+# property tests draw the same cases on every run: a check that fails by chance is no check
+export PROPTEST_RNG_SEED := 2007
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 # the steps of `check` speak in turn; cargo and the solver use all cores by themselves
