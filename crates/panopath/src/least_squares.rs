@@ -110,7 +110,7 @@ impl SparseCholesky {
         let expand = |perm: &[u32]| -> Vec<u32> {
             perm.iter().flat_map(|&node| (0..D as u32).map(move |c| node * D as u32 + c)).collect()
         };
-        let (forward, inverse) = (expand(&ordering.forward), expand_inverse::<D>(&ordering.inverse));
+        let (forward, inverse) = (expand(&ordering.forward), expand(&ordering.inverse));
         let matrix = SymbolicSparseColMatRef::new_checked(n, n, &col_ptr, None, &row_idx);
         let perm = faer::perm::PermRef::new_checked(&forward, &inverse, n);
         let symbolic = factorize_symbolic_cholesky(
@@ -176,10 +176,6 @@ impl SparseCholesky {
         );
         Ok(())
     }
-}
-
-fn expand_inverse<const D: usize>(inverse: &[u32]) -> Vec<u32> {
-    inverse.iter().flat_map(|&place| (0..D as u32).map(move |c| place * D as u32 + c)).collect()
 }
 
 /// Scalar lower-triangle pattern (compressed columns) of a block pattern.

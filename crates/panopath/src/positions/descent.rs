@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::part::{Lanes, Part};
 use super::reduced::{Damping, PointFactor, PointSum, Quadratic, ReducedSystem, Weighing};
-use super::start::{Estimate, for_each_chunk, sigma_from_chords, squared_chord};
+use super::start::{Estimate, for_each_chunk, sigma_from_chords, squared_error};
 use crate::least_squares::LeastSquaresError;
 
 /// Damping of the first step, relative to the diagonal.
@@ -217,9 +217,7 @@ pub(super) fn point_cost<const D: usize>(
     let mut cost = 0.0;
     for o in part.observations(j) {
         if keep[o] {
-            let ray = &part.ray[o];
-            let chord = squared_chord::<D>(ray, point, &centers[part.view[o] as usize]).0;
-            cost += huber_cost(chord * ray.0[3], huber);
+            cost += huber_cost(squared_error(part, o, centers, point), huber);
         }
     }
     cost
@@ -467,9 +465,7 @@ pub(super) fn chords<const D: usize>(part: &Part<D>, estimate: &Estimate) -> Vec
             let mut out = Vec::new();
             for j in tracks.clone() {
                 for o in part.observations(j) {
-                    let ray = &part.ray[o];
-                    let center = &estimate.centers[part.view[o] as usize];
-                    out.push((squared_chord::<D>(ray, &estimate.points[j], center).0 * ray.0[3]).sqrt());
+                    out.push(squared_error(part, o, &estimate.centers, &estimate.points[j]).sqrt());
                 }
             }
             out
@@ -478,37 +474,40 @@ pub(super) fn chords<const D: usize>(part: &Part<D>, estimate: &Estimate) -> Vec
     track_chords.concat()
 }
 
+/// Observations for which `among` holds, and the equations and unknowns (gauge taken off) of a fit to them.
+pub(super) struct FitSize {
+    pub observations: usize,
+    pub equations: usize,
+    pub unknowns: usize,
+}
+
+impl FitSize {
+    pub fn of<const D: usize>(part: &Part<D>, among: impl Fn(usize) -> bool) -> Self {
+        let (mut observations, mut points) = (0, 0);
+        for j in 0..part.n_tracks() {
+            let kept = part.observations(j).filter(|&o| among(o)).count();
+            observations += kept;
+            points += usize::from(kept > 0);
+        }
+        let unknowns = (D * (points + part.n_views)).saturating_sub(D + 1);
+        Self { observations, equations: (D - 1) * observations, unknowns }
+    }
+}
+
 /// Noise estimate from the chords of the observations for which `among` holds.
 pub(super) fn noise_scale<const D: usize>(part: &Part<D>, chords: &[f64], among: impl Fn(usize) -> bool) -> f64 {
-    let (mut sample, mut kept, mut points) = (Vec::new(), 0usize, 0usize);
     let stride = (chords.len() / 200_000).max(1);
-    for j in 0..part.n_tracks() {
-        let before = kept;
-        for o in part.observations(j).filter(|&o| among(o)) {
-            kept += 1;
-            if o % stride == 0 {
-                sample.push(chords[o]);
-            }
-        }
-        points += usize::from(kept > before);
-    }
-    let unknowns = (D * (points + part.n_views)).saturating_sub(D + 1);
-    sigma_from_chords::<D>(&mut sample, kept, unknowns).max(SIGMA_FLOOR_RAD)
+    let mut sample: Vec<f64> = (0..chords.len()).step_by(stride).filter(|&o| among(o)).map(|o| chords[o]).collect();
+    let size = FitSize::of(part, among);
+    sigma_from_chords::<D>(&mut sample, size.observations, size.unknowns).max(SIGMA_FLOOR_RAD)
 }
 
 /// Root mean square of the kept chords over the degrees of freedom: steadier than a quantile once outliers are gone.
 /// `None` where nothing is left over.
 pub(super) fn sigma_of_inliers<const D: usize>(part: &Part<D>, chords: &[f64], keep: &[bool]) -> Option<f64> {
-    let (mut squared, mut kept, mut points) = (0.0, 0usize, 0usize);
-    for j in 0..part.n_tracks() {
-        let before = kept;
-        for o in part.observations(j).filter(|&o| keep[o]) {
-            squared += chords[o] * chords[o];
-            kept += 1;
-        }
-        points += usize::from(kept > before);
-    }
-    let freedom = ((D - 1) * kept + D + 1).checked_sub(D * (points + part.n_views))?;
+    let size = FitSize::of(part, |o| keep[o]);
+    let freedom = size.equations.checked_sub(size.unknowns)?;
+    let squared: f64 = chords.iter().zip(keep).filter(|(_, k)| **k).map(|(e, _)| e * e).sum();
     (freedom > 0).then(|| (squared / freedom as f64).sqrt().max(SIGMA_FLOOR_RAD))
 }
 

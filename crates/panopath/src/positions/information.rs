@@ -4,7 +4,7 @@
 //! with the points eliminated. Its inverse, in the gauge of a fit by translation and scale over the cameras, bounds the
 //! covariance of any unbiased estimate (Cramer and Rao).
 
-use super::descent::{NewtonWeights, point_displacement};
+use super::descent::{FitSize, NewtonWeights, point_displacement};
 use super::options::PositionError;
 use super::part::{Lanes, Part};
 use super::reduced::{Damping, ReducedSystem};
@@ -56,9 +56,8 @@ pub(super) fn weakest_mode_is_loose<const D: usize>(
     weights: &NewtonWeights<'_, D>,
     sigma: f64,
 ) -> Result<bool, LeastSquaresError> {
-    let kept = weights.keep().iter().filter(|&&k| k).count();
-    let points = (0..part.n_tracks()).filter(|&j| part.observations(j).any(|o| weights.keep()[o])).count();
-    if part.n_views < 2 || (D - 1) * kept + D + 1 < D * (part.n_views + points) {
+    let size = FitSize::of(part, |o| weights.keep()[o]);
+    if part.n_views < 2 || size.equations < size.unknowns {
         return Ok(true);
     }
     let Some(mode) = weakest_mode(part, system, weights.estimate())? else { return Ok(false) };

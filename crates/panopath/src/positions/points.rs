@@ -1,10 +1,8 @@
 //! Points one by one, cameras held: which of them tell nothing, and what a second look finds in those that lost rays.
 
-use rayon::prelude::*;
-
-use super::descent::{NewtonWeights, OUTLIER_SIGMAS, fit_point, intersect_rays, point_cost};
+use super::descent::{NewtonWeights, OUTLIER_SIGMAS, chords, fit_point, inliers, intersect_rays, point_cost};
 use super::part::{Lanes, Part};
-use super::start::{Estimate, FAR, for_each_chunk, squared_chord};
+use super::start::{Estimate, FAR, for_each_chunk, squared_error};
 
 /// A track shows parallax where the squared scatter of its rays about their mean, in units of sigma, exceeds what noise
 /// gives by this much: its inverse depth is then known to a quarter or better. Below, depth is too far from linear in the
@@ -102,7 +100,7 @@ pub(super) fn reconsider<const D: usize>(
     for (j, (point, changed)) in judged.into_iter().enumerate() {
         (points[j], refit[j]) = (point, changed);
     }
-    let keep = agreement(part, estimate, limit);
+    let keep = inliers(part, &chords(part, estimate), OUTLIER_SIGMAS * sigma);
     let weights = NewtonWeights::new(part, estimate, &keep, sigma);
     let mut fitted = estimate.points.clone();
     for_each_chunk(part, &mut fitted, |tracks, out| {
@@ -113,40 +111,6 @@ pub(super) fn reconsider<const D: usize>(
     });
     estimate.points = fitted;
     keep
-}
-
-/// For every observation: does it agree with its point, and does its point keep two views?
-fn agreement<const D: usize>(part: &Part<D>, estimate: &Estimate, limit: f64) -> Vec<bool> {
-    let flags: Vec<Vec<bool>> = part
-        .chunks
-        .par_iter()
-        .map(|tracks| {
-            let mut out = Vec::new();
-            for j in tracks.clone() {
-                let first = out.len();
-                let mut views = (u32::MAX, false);
-                for o in part.observations(j) {
-                    let kept = squared_error(part, o, &estimate.centers, &estimate.points[j]) < limit;
-                    if kept {
-                        views.1 |= views.0 != u32::MAX && views.0 != part.view[o];
-                        views.0 = part.view[o];
-                    }
-                    out.push(kept);
-                }
-                if !views.1 {
-                    out[first..].fill(false);
-                }
-            }
-            out
-        })
-        .collect();
-    flags.concat()
-}
-
-#[inline(always)]
-fn squared_error<const D: usize>(part: &Part<D>, o: usize, centers: &[Lanes], point: &Lanes) -> f64 {
-    let ray = &part.ray[o];
-    squared_chord::<D>(ray, point, &centers[part.view[o] as usize]).0 * ray.0[3]
 }
 
 fn agree<const D: usize>(part: &Part<D>, j: usize, centers: &[Lanes], point: &Lanes, limit: f64) -> usize {

@@ -64,7 +64,7 @@ impl Estimate {
 }
 
 /// Smallest noise scale, in radians: keeps weights finite on exact data.
-pub(super) const SCALE_FLOOR_RAD: f64 = 2e-4;
+const SCALE_FLOOR_RAD: f64 = 2e-4;
 /// The scale is this multiple of the noise: twice the median of a chord.
 const SCALE_OVER_SIGMA: f64 = 2.35;
 /// No track starts with more than this multiple of the median weight: bodies that pass close by move, as often as not.
@@ -99,6 +99,13 @@ pub(super) fn squared_chord<const D: usize>(ray: &Lanes, point: &Lanes, center: 
     let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
     let error = ray.plus_scaled(-reciprocal, &u);
     (error.dot::<D>(&error), reciprocal)
+}
+
+/// Squared chord of an observation of a point, times its precision.
+#[inline(always)]
+pub(super) fn squared_error<const D: usize>(part: &Part<D>, o: usize, centers: &[Lanes], point: &Lanes) -> f64 {
+    let ray = &part.ray[o];
+    squared_chord::<D>(ray, point, &centers[part.view[o] as usize]).0 * ray.0[3]
 }
 
 /// One weight for each track, which needs no positions.
@@ -303,10 +310,7 @@ fn noise_of<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
     let mut chords: Vec<f64> = (0..part.n_tracks())
         .step_by(tracks_per_sample.max(1))
         .flat_map(|j| part.observations(j).map(move |o| (o, j)))
-        .map(|(o, j)| {
-            let center = &estimate.centers[part.view[o] as usize];
-            (squared_chord::<D>(&part.ray[o], &estimate.points[j], center).0 * part.ray[o].0[3]).sqrt()
-        })
+        .map(|(o, j)| squared_error(part, o, &estimate.centers, &estimate.points[j]).sqrt())
         .collect();
     let unknowns = D * (part.n_tracks() + part.n_views) - D - 1;
     sigma_from_chords::<D>(&mut chords, part.n_observations(), unknowns)
