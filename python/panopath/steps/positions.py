@@ -1,4 +1,4 @@
-"""The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
+"""Camera positions and points from bearings of known orientation, and the covariance they allow."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from panopath.model import (
     Status,
     Summary,
     Tracks,
-    check_orientations,
     read_only,
 )
+from panopath.steps.common import call_core, orientations_of
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -62,8 +62,8 @@ def solve_positions(
         raise InputError(f"tracks is a {type(tracks).__name__}, expected Tracks (see Tracks.from_arrays)")
     if not isinstance(chosen, PositionOptions):
         raise InputError(f"options is a {type(chosen).__name__}, expected PositionOptions")
-    orientations = _orientations(tracks, cam_from_world)
-    found = _call(
+    orientations = orientations_of(tracks, cam_from_world)
+    found = call_core(
         _core.solve_positions,
         tracks.view,
         tracks.track,
@@ -116,7 +116,7 @@ def position_covariance(
         mask = np.ascontiguousarray(mask)
         if mask.dtype != np.bool_ or mask.shape != tracks.view.shape:
             raise InputError(f"inlier has type {mask.dtype} and shape {mask.shape}, expected bool {tracks.view.shape}")
-    covariance = _call(
+    covariance = call_core(
         _core.position_covariance,
         tracks.view,
         tracks.track,
@@ -124,26 +124,12 @@ def position_covariance(
         tracks.n_views,
         tracks.n_tracks,
         tracks.sigma_rad,
-        _orientations(tracks, cam_from_world),
+        orientations_of(tracks, cam_from_world),
         centers,
         points,
         mask,
     )
     return np.asarray(covariance, dtype=np.float64)
-
-
-def _call(function: Any, *arguments: Any) -> Any:
-    """Call the core; what it finds wrong with the input becomes an :class:`InputError`."""
-    try:
-        return function(*arguments)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(str(error)) from None
-
-
-def _orientations(tracks: Tracks, cam_from_world: npt.ArrayLike | None) -> Float | None:
-    return None if cam_from_world is None else check_orientations(cam_from_world, tracks.n_views, tracks.d)
 
 
 def _start(start: Scene | Start, tracks: Tracks) -> tuple[Float, Float]:
