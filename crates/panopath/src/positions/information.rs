@@ -4,12 +4,13 @@
 //! with the points eliminated. Its inverse, in the gauge of a fit by translation and scale over the cameras, bounds the
 //! covariance of any unbiased estimate (Cramer and Rao).
 
-use super::descent::{FitSize, NewtonWeights, point_displacement};
 use super::options::PositionError;
-use super::part::{Lanes, Part};
-use super::reduced::{Damping, ReducedSystem};
-use super::start::{Estimate, for_each_chunk, normalise};
-use super::{Members, Rays};
+use super::{Members, PositionSystem, Rays, position_system};
+use crate::bundle::estimate::{Estimate, normalise};
+use crate::bundle::newton::{NewtonWeights, point_displacement};
+use crate::bundle::noise::{FitSize, median};
+use crate::bundle::part::{Lanes, Part, for_each_chunk};
+use crate::bundle::reduced::{Damping, Translations};
 use crate::geometry::{Matrix, Rotation, Vector};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 use crate::tracks::Tracks;
@@ -32,10 +33,10 @@ const BLOCK_OF_SOLVES: usize = 48;
 /// Assembles and factorises the information at an estimate, in units of `1/sigma^2`.
 pub(super) fn assemble_information<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     weights: &NewtonWeights<'_, D>,
 ) -> Result<(), LeastSquaresError> {
-    system.assemble(part, weights, Damping { point: GUARD, view: GUARD });
+    system.assemble(part, weights, &Translations, &[], Damping { point: GUARD, view: GUARD });
     system.factorise()
 }
 
@@ -52,15 +53,15 @@ pub(super) fn assemble_information<const D: usize>(
 ///   off, since a scale of its own leaves the directions of one track exact.)
 pub(super) fn weakest_mode_is_loose<const D: usize>(
     part: &Part<D>,
-    system: &ReducedSystem<D>,
+    system: &PositionSystem<D>,
     weights: &NewtonWeights<'_, D>,
     sigma: f64,
 ) -> Result<bool, LeastSquaresError> {
-    let size = FitSize::of(part, |o| weights.keep()[o]);
+    let size = FitSize::of(part, |o| weights.residuals.keep[o]);
     if part.n_views < 2 || size.equations < size.unknowns {
         return Ok(true);
     }
-    let Some(mode) = weakest_mode(part, system, weights.estimate())? else { return Ok(false) };
+    let Some(mode) = weakest_mode(part, system, weights.estimate)? else { return Ok(false) };
     let stretch = stretch_of(part, weights, &mode.displacement);
     let movement = sigma * (mode.stiffness * part.n_views as f64).powf(-0.5);
     let from_guard = mode.stiffness < GUARD_MULTIPLE * mode.guard;
@@ -80,12 +81,11 @@ struct Mode {
 /// The weakest mode, by inverse iteration; `None` where the gauge is all there is.
 fn weakest_mode<const D: usize>(
     part: &Part<D>,
-    system: &ReducedSystem<D>,
+    system: &PositionSystem<D>,
     estimate: &Estimate,
 ) -> Result<Option<Mode>, LeastSquaresError> {
     let gauge = GaugeBasis::<D>::new(&estimate.centers);
-    let pinned = system.pinned();
-    let diagonal: Vec<f64> = system.diagonal().iter().flat_map(|d| d.vector::<D>()).collect();
+    let diagonal = system.diagonal().as_flattened();
     // any start with a share of every mode will do; this one is the same on every run
     let mut mode: Vec<f64> = (0..part.n_views * D).map(|k| (1.0 + 2.3 * k as f64).sin()).collect();
     let (mut stiffness, mut guard) = (f64::NAN, f64::NAN);
@@ -97,10 +97,10 @@ fn weakest_mode<const D: usize>(
         }
         mode.iter_mut().for_each(|x| *x /= length);
         let pushed = mode.clone();
-        mode[pinned * D..(pinned + 1) * D].fill(0.0);
+        clear_held(system.held(), &mut mode);
         system.solve_for(&mut mode, 1)?;
         let energy = dot_product(&mode, &pushed);
-        let held: f64 = mode.iter().zip(&diagonal).map(|(x, d)| GUARD * d * x * x).sum();
+        let held: f64 = mode.iter().zip(diagonal).map(|(x, d)| GUARD * d * x * x).sum();
         gauge.remove(&mut mode);
         let squared = dot_product(&mode, &mode);
         (stiffness, guard) = (energy / squared, held / squared);
@@ -119,15 +119,15 @@ struct Stretch {
 }
 
 fn stretch_of<const D: usize>(part: &Part<D>, weights: &NewtonWeights<'_, D>, displacement: &[Lanes]) -> Stretch {
-    let estimate = weights.estimate();
+    let estimate = weights.estimate;
     let mut per_track = vec![(0.0, 0.0); part.n_tracks()];
     // only the ratio of the two sums matters: some tracks stand for all
     let stride = part.n_tracks().div_ceil(STRETCH_TRACKS);
     for_each_chunk(part, &mut per_track, |tracks, out| {
         for (j, sums) in tracks.zip(out).filter(|(j, _)| j % stride == 0) {
-            let Some(follow) = point_displacement(part, j, weights, displacement) else { continue };
+            let Some(follow) = point_displacement(weights, j, &displacement) else { continue };
             let (mut rates, mut turned) = (Vec::new(), 0.0);
-            for o in part.observations(j).filter(|&o| weights.keep()[o]) {
+            for o in part.observations(j).filter(|&o| weights.residuals.keep[o]) {
                 let view = part.view[o] as usize;
                 let u = estimate.points[j].minus(&estimate.centers[view]);
                 let du = follow.minus(&displacement[view]);
@@ -169,6 +169,10 @@ impl<const D: usize> GaugeBasis<D> {
         let along = dot_product(x, &self.scale);
         x.iter_mut().zip(&self.scale).for_each(|(v, s)| *v -= along * s);
     }
+}
+
+fn clear_held(held: &[bool], x: &mut [f64]) {
+    x.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(x, _)| *x = 0.0);
 }
 
 fn dot_product(a: &[f64], b: &[f64]) -> f64 {
@@ -226,8 +230,8 @@ pub fn position_covariance<const D: usize>(
         points: part.input_track.iter().map(|&t| Lanes::from_vector::<D>(&points[t as usize])).collect(),
     };
     let kept: Vec<bool> = part.input_observation.iter().map(|&o| counts[o as usize]).collect();
-    let reference = tracks.sigma_rad().map_or(sigma_rad, |s| super::start::median(&mut s.to_vec()));
-    let mut system = ReducedSystem::analyse(&part, LinearSolver::Direct)?;
+    let reference = tracks.sigma_rad().map_or(sigma_rad, |s| median(&mut s.to_vec()));
+    let mut system = position_system(&part, LinearSolver::Direct)?;
     assemble_information(&part, &mut system, &NewtonWeights::new(&part, &estimate, &kept, f64::INFINITY))?;
     let gauge = GaugeBasis::<D>::new(&estimate.centers);
     let blocks = diagonal_blocks_of_inverse(&system, &gauge, part.n_views)?;
@@ -239,12 +243,11 @@ pub fn position_covariance<const D: usize>(
 
 /// Diagonal blocks of `Q S^-1 Q^T`, `Q` the projection that takes the gauge out: by solves, a block of columns at a time.
 fn diagonal_blocks_of_inverse<const D: usize>(
-    system: &ReducedSystem<D>,
+    system: &PositionSystem<D>,
     gauge: &GaugeBasis<D>,
     n_views: usize,
 ) -> Result<Vec<Matrix<D>>, LeastSquaresError> {
     let n = n_views * D;
-    let pinned = system.pinned() * D..(system.pinned() + 1) * D;
     let mut blocks = vec![[[0.0; D]; D]; n_views];
     for first in (0..n).step_by(BLOCK_OF_SOLVES) {
         let count = BLOCK_OF_SOLVES.min(n - first);
@@ -252,7 +255,7 @@ fn diagonal_blocks_of_inverse<const D: usize>(
         for (k, column) in columns.chunks_exact_mut(n).enumerate() {
             column[first + k] = 1.0;
             gauge.remove(column);
-            column[pinned.clone()].fill(0.0);
+            clear_held(system.held(), column);
         }
         system.solve_for(&mut columns, count)?;
         for (k, column) in columns.chunks_exact_mut(n).enumerate() {

@@ -10,7 +10,12 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::bundle::estimate::Estimate;
+use crate::bundle::noise::median;
+use crate::bundle::part::{Lanes, Part, Stations};
+use crate::bundle::reduced::{ReducedSystem, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
+use crate::least_squares::LeastSquaresError;
 use crate::tracks::Tracks;
 
 mod descent;
@@ -18,10 +23,7 @@ mod gauge;
 mod information;
 mod linear;
 mod options;
-mod part;
 mod parts;
-mod points;
-mod reduced;
 mod robust;
 mod start;
 
@@ -29,10 +31,8 @@ pub use crate::least_squares::LinearSolver;
 pub use information::position_covariance;
 pub use options::{Control, Gauge, LinearForm, LinearGauge, Method, PositionError, PositionOptions};
 
-use part::{Lanes, Part};
 use parts::{Parts, Sightings, jointly_scaled_parts};
 use robust::PartSolution;
-use start::Estimate;
 
 /// How a solver ended. A status is an answer, not an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -222,7 +222,7 @@ impl<const D: usize> Rays<D> {
                 views.zip(tracks.bearing()).map(|(&v, b)| world_from_cam[v as usize].apply(b)).collect()
             }
         };
-        let reference = tracks.sigma_rad().map(|sigma| start::median(&mut sigma.to_vec()));
+        let reference = tracks.sigma_rad().map(|sigma| median(&mut sigma.to_vec()));
         let precision = tracks
             .sigma_rad()
             .zip(reference)
@@ -463,6 +463,20 @@ impl<const D: usize> Answer<D> {
     }
 }
 
+/// The reduced system of cameras that have a position each.
+type PositionSystem<const D: usize> = ReducedSystem<D, D, Lanes>;
+
+/// Analyses a part; the view that saw most is pinned, which takes away the common translation.
+fn position_system<const D: usize>(
+    part: &Part<D>,
+    solver: LinearSolver,
+) -> Result<PositionSystem<D>, LeastSquaresError> {
+    let mut held = vec![false; part.n_nodes * D];
+    let pinned = most_observed_node(part);
+    held[pinned * D..(pinned + 1) * D].fill(true);
+    ReducedSystem::analyse(part, solver, held)
+}
+
 /// Views and tracks of a part, in the roles that the solver gives them.
 ///
 /// Directions are all the solver knows, and reversing them exchanges views and tracks: the fewer of the two act as cameras,
@@ -507,7 +521,7 @@ impl<'a> Members<'a> {
         let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| belongs(o)).collect();
         let sign = if self.exchanged { -1.0 } else { 1.0 };
         Part::new(
-            self.cameras.len(),
+            Stations::positions::<D>(self.cameras.len()),
             n_points,
             &observations,
             point_of,

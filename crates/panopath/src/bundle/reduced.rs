@@ -1,35 +1,105 @@
-//! The reduced camera system: points eliminated, one `D x D` block for each pair of views that share a track.
+//! The reduced camera system: points eliminated, one block for each pair of cameras that share a track.
+//!
+//! The nodes of the system are cameras with `V` unknowns each: the `D` coordinates of a centre, or those and a turn. They
+//! move the origin of a ray, as seen from its point, by `K` times the unknowns ([`Freedoms`]); `K = I` for a centre alone.
 //!
 //! Each observation `(i, j)` contributes `1/2 (x_j - c_i)^T M (x_j - c_i) - q^T (x_j - c_i)` with
 //! `M = w (I - d d^T)`. With `A_j = sum_i M_ij` and `g_j = sum_i q_ij`, stationarity in the points leaves
 //! `S c = b`, `S = diag(sum_j M_ij) - sum_j M_ij A_j^-1 M_lj` and `b_i = sum_j (M_ij A_j^-1 g_j - q_ij)`.
-//! One view is pinned (a zero row), which takes away the common translation.
+//! Where a node has more unknowns, `M_ij` is multiplied by `K_ij` on the side of the camera. Unknowns may be held (zero
+//! rows), which takes away a gauge.
 //!
 //! [`assemble`](ReducedSystem::assemble) is the hot loop of the whole package; it is compiled for the widest
 //! instruction set found at run time. `tests` holds a dense reference.
 
 use rayon::prelude::*;
 
-use super::part::{Lanes, Part};
+use super::part::{Lanes, Layout, Part};
 use crate::least_squares::{BlockPattern, BlockSolver, LeastSquaresError, LinearSolver, scalar_slots};
 
 /// Quadratic model of one observation: see the module's text. `direction` has the weight `w` in lane 3.
-pub(super) struct Quadratic {
+pub(crate) struct Quadratic {
     pub direction: Lanes,
     pub gradient: Lanes,
 }
 
 /// Gives the quadratic model of each observation at the current estimate.
-pub(super) trait Weighing<const D: usize>: Sync {
+pub(crate) trait Weighing<const D: usize>: Sync {
     /// Model of observation `o` of track `j`; a weight of zero leaves the observation out.
     fn observe(&self, o: usize, j: usize) -> Quadratic;
     /// Depth axis of point `j`, a unit vector, for the damping frame.
     fn depth_axis(&self, j: usize) -> Lanes;
 }
 
+/// One row of a block of the camera system, `V` numbers padded to the width of registers.
+pub(crate) trait Row: Copy + Send + Sync {
+    const ZERO: Self;
+    fn plus(&self, other: &Self) -> Self;
+    /// `self + s * other`.
+    fn plus_scaled(&self, s: f64, other: &Self) -> Self;
+    fn at(&self, k: usize) -> f64;
+}
+
+impl Row for Lanes {
+    const ZERO: Self = Lanes::ZERO;
+
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        Lanes::plus(self, other)
+    }
+
+    #[inline(always)]
+    fn plus_scaled(&self, s: f64, other: &Self) -> Self {
+        Lanes::plus_scaled(self, s, other)
+    }
+
+    #[inline(always)]
+    fn at(&self, k: usize) -> f64 {
+        self.0[k]
+    }
+}
+
+/// What the `V` unknowns of a camera do to the rays of its stations: they displace their origins, as seen from a point, by
+/// a `D x V` matrix `K`.
+pub(crate) trait Freedoms<const D: usize, const V: usize>: Sync {
+    type Row: Row;
+    /// `row K` for observation `o` of track `j`.
+    fn lift(&self, o: usize, j: usize, row: &Lanes) -> Self::Row;
+    /// `K^T rows`.
+    fn lift_rows(&self, o: usize, j: usize, rows: &[Self::Row; D]) -> [Self::Row; V];
+    /// Is the point known already, and not to be eliminated?
+    fn holds_point(&self, _j: usize) -> bool {
+        false
+    }
+}
+
+/// Cameras that have a position and nothing else.
+pub(crate) struct Translations;
+
+impl<const D: usize> Freedoms<D, D> for Translations {
+    type Row = Lanes;
+
+    #[inline(always)]
+    fn lift(&self, _o: usize, _j: usize, row: &Lanes) -> Lanes {
+        *row
+    }
+
+    #[inline(always)]
+    fn lift_rows(&self, _o: usize, _j: usize, rows: &[Lanes; D]) -> [Lanes; D] {
+        *rows
+    }
+}
+
+/// Squared error of a camera's own unknowns, which no point takes part in: a prior. Adds `1/2 x^T H x - b^T x`.
+pub(crate) struct CameraTerm<const V: usize> {
+    pub node: u32,
+    pub information: [[f64; V]; V],
+    pub gradient: [f64; V],
+}
+
 /// Levenberg-Marquardt damping, relative to the diagonal.
 #[derive(Clone, Copy)]
-pub(super) struct Damping {
+pub(crate) struct Damping {
     pub point: f64,
     pub view: f64,
 }
@@ -38,7 +108,7 @@ pub(super) struct Damping {
 const POINT_FLOOR: f64 = 1e-14;
 
 /// Cholesky factor of the block `A` of one point, with the reciprocals of its diagonal.
-pub(super) struct PointFactor<const D: usize> {
+pub(crate) struct PointFactor<const D: usize> {
     lower: [[f64; D]; D],
     reciprocal: [f64; D],
 }
@@ -144,7 +214,7 @@ impl Quadratic {
 }
 
 /// Sum of the models of one point: `A = weight_sum I - outer`, and `g`.
-pub(super) struct PointSum<const D: usize> {
+pub(crate) struct PointSum<const D: usize> {
     pub weight_sum: f64,
     outer: [Lanes; D],
     pub gradient: Lanes,
@@ -229,50 +299,48 @@ impl Locator {
     }
 }
 
-/// Sums of one chunk of tracks, over the block columns and views that the chunk touches.
-#[derive(Default)]
-struct Accumulator {
-    views: std::ops::Range<usize>,
+/// Sums of one chunk of tracks, over the block columns and nodes that the chunk touches.
+struct Accumulator<const D: usize, const V: usize, R> {
+    nodes: std::ops::Range<usize>,
     blocks: std::ops::Range<usize>,
-    /// `D` rows of each block.
-    block: Vec<Lanes>,
+    block: Vec<[R; V]>,
     /// Diagonal of the unreduced camera block, for damping.
-    diagonal: Vec<Lanes>,
-    rhs: Vec<Lanes>,
-    scratch: Scratch,
+    diagonal: Vec<[f64; V]>,
+    rhs: Vec<R>,
+    scratch: Scratch<D, R>,
 }
 
-#[derive(Default)]
-struct Scratch {
+struct Scratch<const D: usize, R> {
     models: Vec<Quadratic>,
-    /// `D` rows of `L^-1 M` for each view of the track.
-    rows: Vec<Lanes>,
-    views: Vec<u32>,
+    /// `L^-1 M K` for each node of the track.
+    rows: Vec<[R; D]>,
+    nodes: Vec<u32>,
 }
 
-pub(super) struct ReducedSystem<const D: usize> {
+pub(crate) struct ReducedSystem<const D: usize, const V: usize, R> {
     pattern: BlockPattern,
     locator: Locator,
-    accumulators: Vec<Accumulator>,
-    pinned: usize,
+    accumulators: Vec<Accumulator<D, V, R>>,
+    held: Vec<bool>,
     values: Vec<f64>,
     rhs: Vec<f64>,
-    diagonal: Vec<Lanes>,
-    solver: BlockSolver<D>,
+    diagonal: Vec<[f64; V]>,
+    solver: BlockSolver<V>,
 }
 
-impl<const D: usize> ReducedSystem<D> {
-    /// Finds which views share a track, orders them and chooses the linear solver.
-    pub fn analyse(part: &Part<D>, solver: LinearSolver) -> Result<Self, LeastSquaresError> {
+impl<const D: usize, const V: usize, R: Row> ReducedSystem<D, V, R> {
+    /// Finds which nodes share a track, orders them and chooses the linear solver. `held` are the unknowns that stay zero,
+    /// `V` for each node.
+    pub fn analyse(part: &Part<D>, solver: LinearSolver, held: Vec<bool>) -> Result<Self, LeastSquaresError> {
         let pattern = co_visibility(part);
         let locator = Locator::new(&pattern);
-        let accumulators = part.chunks.iter().map(|tracks| Accumulator::over::<D>(part, tracks, &pattern)).collect();
-        let (n_blocks, n_views) = (pattern.row.len(), part.n_views);
+        let accumulators = part.chunks.iter().map(|tracks| Accumulator::over(part, tracks, &pattern)).collect();
+        let (n_blocks, n_nodes) = (pattern.row.len(), part.n_nodes);
         Ok(Self {
-            pinned: most_observed_view(part),
-            values: vec![0.0; n_blocks * D * D - n_views * (D * (D - 1) / 2)],
-            rhs: vec![0.0; n_views * D],
-            diagonal: vec![Lanes::ZERO; n_views],
+            held,
+            values: vec![0.0; n_blocks * V * V - n_nodes * (V * (V - 1) / 2)],
+            rhs: vec![0.0; n_nodes * V],
+            diagonal: vec![[0.0; V]; n_nodes],
             accumulators,
             solver: BlockSolver::analyse(&pattern, solver)?,
             pattern,
@@ -280,8 +348,15 @@ impl<const D: usize> ReducedSystem<D> {
         })
     }
 
-    /// Sums the observations into the reduced system.
-    pub fn assemble(&mut self, part: &Part<D>, weighing: &impl Weighing<D>, damping: Damping) {
+    /// Sums the observations and the cameras' own terms into the reduced system.
+    pub fn assemble(
+        &mut self,
+        part: &Part<D>,
+        weighing: &impl Weighing<D>,
+        freedoms: &impl Freedoms<D, V, Row = R>,
+        terms: &[CameraTerm<V>],
+        damping: Damping,
+    ) {
         let (pattern, locator) = (&self.pattern, &self.locator);
         self.accumulators.par_iter_mut().zip(&part.chunks).for_each(|(sums, tracks)| {
             pulp::Arch::new().dispatch(Elimination {
@@ -290,40 +365,55 @@ impl<const D: usize> ReducedSystem<D> {
                 pattern,
                 locator,
                 weighing,
+                freedoms,
                 point_damping: damping.point,
                 sums,
             });
         });
-        self.gather(damping.view);
+        self.gather(terms, damping.view);
     }
 
     /// Adds the chunks, in their order, into the values of the lower triangle and the right-hand side.
-    fn gather(&mut self, view_damping: f64) {
+    fn gather(&mut self, terms: &[CameraTerm<V>], view_damping: f64) {
         let mut diagonal = std::mem::take(&mut self.diagonal);
-        diagonal.fill(Lanes::ZERO);
+        diagonal.fill([0.0; V]);
         self.rhs.fill(0.0);
         for sums in &self.accumulators {
-            for (slot, view) in sums.views.clone().enumerate() {
-                diagonal[view] = diagonal[view].plus(&sums.diagonal[slot]);
-                for c in 0..D {
-                    self.rhs[view * D + c] += sums.rhs[slot].0[c];
+            for (slot, node) in sums.nodes.clone().enumerate() {
+                for c in 0..V {
+                    diagonal[node][c] += sums.diagonal[slot][c];
+                    self.rhs[node * V + c] += sums.rhs[slot].at(c);
                 }
             }
         }
-        let largest = diagonal.iter().flat_map(|d| d.0).fold(0.0, f64::max);
-        let (pattern, accumulators, pinned) = (&self.pattern, &self.accumulators, self.pinned);
+        for term in terms {
+            let node = term.node as usize;
+            for c in 0..V {
+                diagonal[node][c] += term.information[c][c];
+                self.rhs[node * V + c] += term.gradient[c];
+            }
+        }
+        let largest = diagonal.iter().flatten().copied().fold(0.0, f64::max);
+        let (pattern, accumulators, held) = (&self.pattern, &self.accumulators, &self.held);
         let mut columns: Vec<&mut [f64]> = Vec::with_capacity(pattern.n_nodes());
         let mut rest = self.values.as_mut_slice();
         for node in 0..pattern.n_nodes() {
-            let length = pattern.column(node).len() * D * D - D * (D - 1) / 2;
+            let length = pattern.column(node).len() * V * V - V * (V - 1) / 2;
             let (column, tail) = rest.split_at_mut(length);
             columns.push(column);
             rest = tail;
         }
+        let terms_of = terms_by_node(terms, pattern.n_nodes());
         columns.into_par_iter().enumerate().with_min_len(64).for_each(|(node, column)| {
-            gather_column::<D>(pattern, accumulators, node, pinned, &diagonal[node], view_damping, largest, column);
+            sum_column(pattern, accumulators, node, column);
+            for &term in &terms_of[node] {
+                add_term(pattern, node, &terms[term as usize].information, column);
+            }
+            hold_and_damp(pattern, node, held, &diagonal[node], view_damping, largest, column);
         });
-        self.rhs[pinned * D..(pinned + 1) * D].fill(0.0);
+        for (right, _) in self.rhs.iter_mut().zip(held).filter(|(_, held)| **held) {
+            *right = 0.0;
+        }
         self.diagonal = diagonal;
     }
 
@@ -333,98 +423,140 @@ impl<const D: usize> ReducedSystem<D> {
     }
 
     /// Solves the assembled system for its right-hand side.
-    pub fn solve(&mut self) -> Result<Vec<Lanes>, LeastSquaresError> {
+    pub fn solve(&mut self) -> Result<Vec<[f64; V]>, LeastSquaresError> {
         self.factorise()?;
         let mut x = self.rhs.clone();
         self.solver.solve(&mut x, 1)?;
-        Ok(x.as_chunks::<D>().0.iter().map(Lanes::from_vector::<D>).collect())
+        Ok(x.as_chunks::<V>().0.to_vec())
     }
 
-    /// Solves the system factorised last for other right-hand sides, one after the other in `right`; the pinned view's
-    /// entries must be zero.
+    /// Solves the system factorised last for other right-hand sides, one after the other in `right`; entries of unknowns
+    /// that are held must be zero.
     pub fn solve_for(&self, right: &mut [f64], n_right: usize) -> Result<(), LeastSquaresError> {
         self.solver.solve(right, n_right)
     }
 
-    /// The view that is held.
-    pub fn pinned(&self) -> usize {
-        self.pinned
+    /// The unknowns that stay zero.
+    pub fn held(&self) -> &[bool] {
+        &self.held
     }
 
     /// Diagonal of the unreduced camera blocks, to which the damping of views is relative.
-    pub fn diagonal(&self) -> &[Lanes] {
+    pub fn diagonal(&self) -> &[[f64; V]] {
         &self.diagonal
+    }
+
+    /// Which nodes are coupled.
+    pub fn pattern(&self) -> &BlockPattern {
+        &self.pattern
+    }
+
+    /// Lower triangle of the system as it was assembled last, in the order of [`scalar_slots`].
+    pub fn values(&self) -> &[f64] {
+        &self.values
     }
 }
 
-#[allow(clippy::too_many_arguments)]
-fn gather_column<const D: usize>(
+fn terms_by_node<const V: usize>(terms: &[CameraTerm<V>], n_nodes: usize) -> Vec<Vec<u32>> {
+    let mut of = vec![Vec::new(); n_nodes];
+    for (k, term) in terms.iter().enumerate() {
+        of[term.node as usize].push(k as u32);
+    }
+    of
+}
+
+/// Sums one block column over the chunks.
+fn sum_column<const D: usize, const V: usize, R: Row>(
     pattern: &BlockPattern,
-    accumulators: &[Accumulator],
+    accumulators: &[Accumulator<D, V, R>],
     node: usize,
-    pinned: usize,
-    diagonal: &Lanes,
-    view_damping: f64,
-    largest: f64,
     column: &mut [f64],
 ) {
     column.fill(0.0);
     let blocks = pattern.column(node);
-    let base = scalar_slots::<D>(pattern, node, blocks.start, 0);
+    let base = scalar_slots::<V>(pattern, node, blocks.start, 0);
     for sums in accumulators.iter().filter(|s| s.blocks.start < blocks.end && blocks.start < s.blocks.end) {
-        let (blocks_of_chunk, _) = sums.block.as_chunks::<D>();
         for k in blocks.clone() {
-            let block = &blocks_of_chunk[k - sums.blocks.start];
-            for c in 0..D {
-                let slot = scalar_slots::<D>(pattern, node, k, c) - base;
+            let block = &sums.block[k - sums.blocks.start];
+            for c in 0..V {
+                let slot = scalar_slots::<V>(pattern, node, k, c) - base;
                 let first = if k == blocks.start { c } else { 0 };
-                for r in first..D {
-                    column[slot + r - first] += block[r].0[c];
+                for r in first..V {
+                    column[slot + r - first] += block[r].at(c);
                 }
             }
         }
     }
+}
+
+/// Adds a term of the camera's own to its diagonal block.
+fn add_term<const V: usize>(pattern: &BlockPattern, node: usize, information: &[[f64; V]; V], column: &mut [f64]) {
+    let first = pattern.column(node).start;
+    let base = scalar_slots::<V>(pattern, node, first, 0);
+    for c in 0..V {
+        let slot = scalar_slots::<V>(pattern, node, first, c) - base;
+        for r in c..V {
+            column[slot + r - c] += information[r][c];
+        }
+    }
+}
+
+/// Clears rows and columns of held unknowns and damps the others.
+fn hold_and_damp<const V: usize>(
+    pattern: &BlockPattern,
+    node: usize,
+    held: &[bool],
+    diagonal: &[f64; V],
+    view_damping: f64,
+    largest: f64,
+    column: &mut [f64],
+) {
+    let blocks = pattern.column(node);
+    let base = scalar_slots::<V>(pattern, node, blocks.start, 0);
     for k in blocks.clone() {
         let is_diagonal = k == blocks.start;
-        let touches_pinned = node == pinned || pattern.row[k] as usize == pinned;
-        for c in 0..D {
-            let slot = scalar_slots::<D>(pattern, node, k, c) - base;
-            let length = if is_diagonal { D - c } else { D };
-            if touches_pinned {
-                column[slot..slot + length].fill(0.0);
+        let row = pattern.row[k] as usize;
+        for c in 0..V {
+            let slot = scalar_slots::<V>(pattern, node, k, c) - base;
+            let first = if is_diagonal { c } else { 0 };
+            // an unknown that nothing tells of is held like those that are to be
+            let hold = held[node * V + c] || diagonal[c] <= 0.0;
+            for r in first..V {
+                if hold || held[row * V + r] {
+                    column[slot + r - first] = 0.0;
+                }
             }
             if is_diagonal {
-                // a view without a single kept observation is held, like the pinned one
-                let held = touches_pinned || diagonal.0[c] <= 0.0;
-                column[slot] += if held { largest.max(f64::MIN_POSITIVE) } else { view_damping * diagonal.0[c] };
+                column[slot] += if hold { largest.max(f64::MIN_POSITIVE) } else { view_damping * diagonal[c] };
             }
         }
     }
 }
 
-fn most_observed_view<const D: usize>(part: &Part<D>) -> usize {
-    let mut count = vec![0u32; part.n_views];
-    for &v in &part.view {
-        count[v as usize] += 1;
+/// The node that saw most.
+pub(crate) fn most_observed_node(layout: &Layout) -> usize {
+    let mut count = vec![0u32; layout.n_nodes];
+    for o in 0..layout.n_observations() {
+        count[layout.node_of(o) as usize] += 1;
     }
-    (0..part.n_views).fold(0, |best, v| if count[v] > count[best] { v } else { best })
+    (0..layout.n_nodes).fold(0, |best, v| if count[v] > count[best] { v } else { best })
 }
 
-/// Which views share a track. Pairs repeat from track to track: a small direct-mapped memory of pairs already listed
+/// Which nodes share a track. Pairs repeat from track to track: a small direct-mapped memory of pairs already listed
 /// keeps the list short before it is sorted.
-fn co_visibility<const D: usize>(part: &Part<D>) -> BlockPattern {
+fn co_visibility(layout: &Layout) -> BlockPattern {
     const MEMORY: usize = 1 << 14;
-    let lists: Vec<Vec<u64>> = part
+    let lists: Vec<Vec<u64>> = layout
         .chunks
         .par_iter()
         .map(|tracks| {
             let mut seen = vec![u64::MAX; MEMORY];
             let mut pairs = Vec::new();
             for j in tracks.clone() {
-                let views = &part.view[part.observations(j)];
-                for (i, &row) in views.iter().enumerate() {
-                    for &column in &views[..i] {
-                        let pair = u64::from(column) << 32 | u64::from(row);
+                let observations = layout.observations(j);
+                for i in observations.clone() {
+                    for k in observations.start..i {
+                        let pair = u64::from(layout.node_of(k)) << 32 | u64::from(layout.node_of(i));
                         let slot = (pair.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 50) as usize;
                         if seen[slot] != pair {
                             seen[slot] = pair;
@@ -438,97 +570,102 @@ fn co_visibility<const D: usize>(part: &Part<D>) -> BlockPattern {
             pairs
         })
         .collect();
-    let mut pairs: Vec<u64> = (0..part.n_views as u64).map(|v| v << 32 | v).collect();
+    let mut pairs: Vec<u64> = (0..layout.n_nodes as u64).map(|v| v << 32 | v).collect();
     pairs.extend(lists.into_iter().flatten());
     pairs.par_sort_unstable();
     pairs.dedup();
-    let mut col_start = vec![0u32; part.n_views + 1];
+    let mut col_start = vec![0u32; layout.n_nodes + 1];
     for &pair in &pairs {
         col_start[(pair >> 32) as usize + 1] += 1;
     }
-    for v in 0..part.n_views {
+    for v in 0..layout.n_nodes {
         col_start[v + 1] += col_start[v];
     }
     BlockPattern { col_start, row: pairs.into_iter().map(|pair| pair as u32).collect() }
 }
 
-impl Accumulator {
-    fn over<const D: usize>(part: &Part<D>, tracks: &std::ops::Range<usize>, pattern: &BlockPattern) -> Self {
+impl<const D: usize, const V: usize, R: Row> Accumulator<D, V, R> {
+    fn over(layout: &Layout, tracks: &std::ops::Range<usize>, pattern: &BlockPattern) -> Self {
         let (mut low, mut high) = (usize::MAX, 0);
         for j in tracks.clone() {
-            let views = &part.view[part.observations(j)];
-            low = low.min(views[0] as usize);
-            high = high.max(views[views.len() - 1] as usize + 1);
+            let observations = layout.observations(j);
+            low = low.min(layout.node_of(observations.start) as usize);
+            high = high.max(layout.node_of(observations.end - 1) as usize + 1);
         }
         let low = low.min(high);
         let blocks = pattern.col_start[low] as usize..pattern.col_start[high] as usize;
-        Self { views: low..high, blocks, ..Self::default() }
+        let scratch = Scratch { models: Vec::new(), rows: Vec::new(), nodes: Vec::new() };
+        Self { nodes: low..high, blocks, block: Vec::new(), diagonal: Vec::new(), rhs: Vec::new(), scratch }
     }
 
-    fn reset<const D: usize>(&mut self) {
-        for (lanes, n) in [
-            (&mut self.block, self.blocks.len() * D),
-            (&mut self.diagonal, self.views.len()),
-            (&mut self.rhs, self.views.len()),
-        ] {
-            lanes.clear();
-            lanes.resize(n, Lanes::ZERO);
-        }
+    fn reset(&mut self) {
+        self.block.clear();
+        self.block.resize(self.blocks.len(), [R::ZERO; V]);
+        self.diagonal.clear();
+        self.diagonal.resize(self.nodes.len(), [0.0; V]);
+        self.rhs.clear();
+        self.rhs.resize(self.nodes.len(), R::ZERO);
     }
 }
 
 /// The arguments of [`eliminate_points`], to be run with the widest instruction set. A closure would not do: it is compiled
 /// by itself, for the narrowest.
-struct Elimination<'a, const D: usize, W> {
+struct Elimination<'a, const D: usize, const V: usize, W, F: Freedoms<D, V>> {
     part: &'a Part<D>,
     tracks: std::ops::Range<usize>,
     pattern: &'a BlockPattern,
     locator: &'a Locator,
     weighing: &'a W,
+    freedoms: &'a F,
     point_damping: f64,
-    sums: &'a mut Accumulator,
+    sums: &'a mut Accumulator<D, V, F::Row>,
 }
 
-impl<const D: usize, W: Weighing<D>> pulp::WithSimd for Elimination<'_, D, W> {
+impl<const D: usize, const V: usize, W: Weighing<D>, F: Freedoms<D, V>> pulp::WithSimd for Elimination<'_, D, V, W, F> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Self { part, tracks, pattern, locator, weighing, point_damping, sums } = self;
-        eliminate_points(part, tracks, pattern, locator, weighing, point_damping, sums);
+        let Self { part, tracks, pattern, locator, weighing, freedoms, point_damping, sums } = self;
+        eliminate_points(part, tracks, pattern, locator, weighing, freedoms, point_damping, sums);
     }
 }
 
 /// Eliminates the points of one chunk of tracks. Inlined into each instruction set's copy.
 #[inline(always)]
-fn eliminate_points<const D: usize>(
+#[allow(clippy::too_many_arguments)]
+fn eliminate_points<const D: usize, const V: usize, F: Freedoms<D, V>>(
     part: &Part<D>,
     tracks: std::ops::Range<usize>,
     pattern: &BlockPattern,
     locator: &Locator,
     weighing: &impl Weighing<D>,
+    freedoms: &F,
     point_damping: f64,
-    sums: &mut Accumulator,
+    sums: &mut Accumulator<D, V, F::Row>,
 ) {
-    sums.reset::<D>();
+    sums.reset();
     for j in tracks {
         let Some((factor, gradient)) = point_block(part, j, weighing, point_damping, &mut sums.scratch) else {
             continue;
         };
         let y = factor.forward(&gradient);
-        camera_blocks(part, j, &factor, &y, pattern, locator, sums);
-        subtract_products::<D>(pattern, locator, sums);
+        let eliminated = !freedoms.holds_point(j);
+        camera_blocks(part, j, freedoms, eliminated.then_some((&factor, &y)), pattern, locator, sums);
+        if eliminated {
+            subtract_products(pattern, locator, sums);
+        }
     }
 }
 
 /// Sums the models of one track's observations into the factor of `A` and the gradient `g`; keeps the models in scratch.
 #[inline(always)]
-fn point_block<const D: usize>(
+fn point_block<const D: usize, R>(
     part: &Part<D>,
     j: usize,
     weighing: &impl Weighing<D>,
     point_damping: f64,
-    scratch: &mut Scratch,
+    scratch: &mut Scratch<D, R>,
 ) -> Option<(PointFactor<D>, Lanes)> {
     scratch.models.clear();
     let mut sum = PointSum::<D>::new();
@@ -541,23 +678,23 @@ fn point_block<const D: usize>(
     if sum.is_empty() { None } else { Some((sum.factor(point_damping, &weighing.depth_axis(j)), sum.gradient)) }
 }
 
-/// Adds each observation's own camera block and right-hand side, and leaves `L^-1 M` of each view in scratch.
+/// Adds each observation's own camera block and right-hand side, and leaves `L^-1 M K` of each node in scratch. Without a
+/// factor the point is held.
 #[inline(always)]
-fn camera_blocks<const D: usize>(
+fn camera_blocks<const D: usize, const V: usize, F: Freedoms<D, V>>(
     part: &Part<D>,
     j: usize,
-    factor: &PointFactor<D>,
-    y: &[f64; D],
+    freedoms: &F,
+    eliminated: Option<(&PointFactor<D>, &[f64; D])>,
     pattern: &BlockPattern,
     locator: &Locator,
-    sums: &mut Accumulator,
+    sums: &mut Accumulator<D, V, F::Row>,
 ) {
-    let Scratch { models, rows: stored, views } = &mut sums.scratch;
-    let (blocks, _) = sums.block.as_chunks_mut::<D>();
-    let seen_by = &part.view[part.observations(j)];
+    let Scratch { models, rows: stored, nodes } = &mut sums.scratch;
     stored.clear();
-    views.clear();
-    for (model, &view) in models.iter().zip(seen_by) {
+    nodes.clear();
+    for (model, o) in models.iter().zip(part.observations(j)) {
+        let node = part.node_of(o);
         let d = &model.direction;
         let weight = d.0[3];
         let weighted = d.times(weight);
@@ -567,42 +704,53 @@ fn camera_blocks<const D: usize>(
             row.0[3] = 0.0;
             row
         });
-        let slot = view as usize - sums.views.start;
-        let block = &mut blocks[locator.find(pattern, view as usize, view as usize) - sums.blocks.start];
+        let slot = node as usize - sums.nodes.start;
+        let block = &mut sums.block[locator.find(pattern, node as usize, node as usize) - sums.blocks.start];
+        let mut lifted = [F::Row::ZERO; D];
         for r in 0..D {
-            block[r] = block[r].plus(&rows[r]);
-            sums.diagonal[slot].0[r] += rows[r].0[r];
+            lifted[r] = freedoms.lift(o, j, &rows[r]);
         }
-        factor.forward_rows(&mut rows);
+        let own = freedoms.lift_rows(o, j, &lifted);
+        for r in 0..V {
+            block[r] = block[r].plus(&own[r]);
+            sums.diagonal[slot][r] += own[r].at(r);
+        }
         let mut right = model.gradient.times(-1.0);
-        for r in 0..D {
-            right = right.plus_scaled(y[r], &rows[r]);
-        }
-        sums.rhs[slot] = sums.rhs[slot].plus(&right);
-        if part.has_repeats && views.last() == Some(&view) {
-            let n = stored.len();
+        if let Some((factor, y)) = eliminated {
+            factor.forward_rows(&mut rows);
             for r in 0..D {
-                stored[n - D + r] = stored[n - D + r].plus(&rows[r]);
+                right = right.plus_scaled(y[r], &rows[r]);
+                lifted[r] = freedoms.lift(o, j, &rows[r]);
+            }
+        }
+        sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &right));
+        if part.has_repeats && nodes.last() == Some(&node) {
+            let last = stored.len() - 1;
+            for r in 0..D {
+                stored[last][r] = stored[last][r].plus(&lifted[r]);
             }
         } else {
-            stored.extend_from_slice(&rows);
-            views.push(view);
+            stored.push(lifted);
+            nodes.push(node);
         }
     }
 }
 
-/// Subtracts `T_a^T T_b`, `T = L^-1 M`, from the block of every pair of views of the track.
+/// Subtracts `T_a^T T_b`, `T = L^-1 M K`, from the block of every pair of nodes of the track.
 #[inline(always)]
-fn subtract_products<const D: usize>(pattern: &BlockPattern, locator: &Locator, sums: &mut Accumulator) {
-    let (rows, _) = sums.scratch.rows.as_chunks::<D>();
-    let (blocks, _) = sums.block.as_chunks_mut::<D>();
-    for (i, (a, &row)) in rows.iter().zip(&sums.scratch.views).enumerate() {
-        for (b, &column) in rows[..=i].iter().zip(&sums.scratch.views) {
-            let block = &mut blocks[locator.find(pattern, row as usize, column as usize) - sums.blocks.start];
-            for r in 0..D {
+fn subtract_products<const D: usize, const V: usize, R: Row>(
+    pattern: &BlockPattern,
+    locator: &Locator,
+    sums: &mut Accumulator<D, V, R>,
+) {
+    let Scratch { rows, nodes, .. } = &sums.scratch;
+    for (i, (a, &row)) in rows.iter().zip(nodes).enumerate() {
+        for (b, &column) in rows[..=i].iter().zip(nodes) {
+            let block = &mut sums.block[locator.find(pattern, row as usize, column as usize) - sums.blocks.start];
+            for r in 0..V {
                 let mut sum = block[r];
                 for c in 0..D {
-                    sum = sum.plus_scaled(-a[c].0[r], &b[c]);
+                    sum = sum.plus_scaled(-a[c].at(r), &b[c]);
                 }
                 block[r] = sum;
             }
