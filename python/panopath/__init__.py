@@ -23,19 +23,26 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.steps import position_covariance, solve_positions
+from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig, RotationPriors
+from panopath.steps import RefineOptions, position_covariance, refine, solve_positions
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
 
 __all__ = [
     "Control",
+    "DirectionPriors",
     "Evaluation",
     "InputError",
     "MissingExtraError",
     "PanopathError",
     "PositionOptions",
+    "PositionPriors",
+    "Priors",
     "Problem",
+    "RefineOptions",
+    "Rig",
+    "RotationPriors",
     "Scene",
     "Status",
     "Summary",
@@ -49,6 +56,7 @@ __all__ = [
     "read_scene",
     "read_tracks",
     "read_truth",
+    "refine",
     "simulate",
     "solve_positions",
     "write_scene",

@@ -3,6 +3,7 @@ use pyo3::prelude::*;
 
 mod convert;
 mod positions;
+mod refinement;
 mod sphere;
 mod synthetic;
 mod table;
@@ -11,6 +12,7 @@ mod table;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     positions::register(module)?;
+    refinement::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)

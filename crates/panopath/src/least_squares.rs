@@ -396,7 +396,7 @@ impl<const D: usize> BlockProduct<D> {
 }
 
 /// Inverse of a small symmetric positive definite matrix, by Gauss and Jordan; `None` where a pivot is not positive.
-fn inverse_of_positive<const D: usize>(m: &Matrix<D>) -> Option<Matrix<D>> {
+pub(crate) fn inverse_of_positive<const D: usize>(m: &Matrix<D>) -> Option<Matrix<D>> {
     let mut a = *m;
     for p in 0..D {
         let pivot = a[p][p];

@@ -15,10 +15,15 @@ mod bundle;
 pub mod geometry;
 pub mod least_squares;
 pub mod positions;
+pub mod refinement;
 pub mod sphere;
+pub mod structure;
 pub mod synthetic;
 pub mod tracks;
 
 pub use geometry::{Rotation, Similarity};
-pub use positions::{PositionError, PositionOptions, Structure, solve_positions};
+pub use least_squares::LinearSolver;
+pub use positions::{PositionError, PositionOptions, solve_positions};
+pub use refinement::{RefineError, RefineOptions, refine};
+pub use structure::Structure;
 pub use tracks::{Tracks, TracksError};

@@ -102,7 +102,7 @@ impl<const D: usize> Weighing<D> for NewtonWeights<'_, D> {
 }
 
 #[inline(always)]
-fn huber_weight(squared: f64, threshold: f64) -> f64 {
+pub(crate) fn huber_weight(squared: f64, threshold: f64) -> f64 {
     if squared <= threshold * threshold { 1.0 } else { threshold / squared.sqrt() }
 }
 
