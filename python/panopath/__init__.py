@@ -24,7 +24,14 @@ from panopath.model import (
     Tracks,
 )
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig, RotationPriors
-from panopath.steps import RefineOptions, position_covariance, refine, solve_positions
+from panopath.steps import (
+    RefineOptions,
+    SceneCovariance,
+    position_covariance,
+    refine,
+    scene_covariance,
+    solve_positions,
+)
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
@@ -44,6 +51,7 @@ __all__ = [
     "Rig",
     "RotationPriors",
     "Scene",
+    "SceneCovariance",
     "Status",
     "Summary",
     "SyntheticWorld",
@@ -57,6 +65,7 @@ __all__ = [
     "read_tracks",
     "read_truth",
     "refine",
+    "scene_covariance",
     "simulate",
     "solve_positions",
     "write_scene",

@@ -2,12 +2,12 @@
 
 use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray1, PyReadonlyArray2};
+use panopath::Rotation;
 use panopath::geometry::{Matrix, Vector};
 use panopath::positions::{
     Control, Gauge, LinearForm, LinearGauge, LinearSolver, Method, PositionOptions,
     position_covariance as covariance_of, solve_positions as solve,
 };
-use panopath::Rotation;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -1,9 +1,11 @@
 //! `refine`: flat arrays in, a dict of arrays out.
 
-use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::ndarray::Array3;
+use numpy::{IntoPyArray, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use panopath::geometry::Matrix;
 use panopath::refinement::{
-    DirectionPrior, PositionPrior, Priors, RefineOptions, Rig, RotationPrior, refine as refine_structure,
+    CovarianceGauge, DirectionPrior, PositionPrior, Priors, RefineOptions, Rig, RotationPrior, covariance,
+    refine as refine_structure,
 };
 use panopath::structure::{Status, Structure, Summary, Timings};
 use panopath::{LinearSolver, Rotation};
@@ -53,6 +55,58 @@ where
     let (parsed, threads) = read_options::<D>(options)?;
     let found = py.detach(|| on_threads(threads, || refine_structure::<D, V>(&tracks, &structure, &parsed)))?;
     fill(py, found.map_err(value_error)?)
+}
+
+/// Covariances of cameras and points (`panopath.steps.scene_covariance` describes the arguments).
+#[pyfunction]
+#[allow(clippy::too_many_arguments)]
+fn scene_covariance<'py>(
+    py: Python<'py>,
+    view: PyReadonlyArray1<'py, i32>,
+    track: PyReadonlyArray1<'py, i32>,
+    bearing: PyReadonlyArray2<'py, f64>,
+    n_views: usize,
+    n_tracks: usize,
+    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    cam_from_world: Option<Bound<'py, PyAny>>,
+    start: Start<'py>,
+    inlier: Option<PyReadonlyArray1<'py, bool>>,
+    reference: Option<u32>,
+    sigma: f64,
+    options: &Bound<'py, PyDict>,
+) -> PyResult<Blocks<'py>> {
+    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world };
+    let keep = inlier.map(|k| k.as_array().to_vec()).unwrap_or_default();
+    let gauge = reference.map_or(CovarianceGauge::Cameras, CovarianceGauge::View);
+    match input.dimension()? {
+        2 => covariance_in::<2, 3>(py, &input, &start, keep, gauge, sigma, options),
+        _ => covariance_in::<3, 6>(py, &input, &start, keep, gauge, sigma, options),
+    }
+}
+
+/// Covariances of the cameras and of the points.
+type Blocks<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);
+
+fn covariance_in<'py, const D: usize, const V: usize>(
+    py: Python<'py>,
+    input: &Input<'py>,
+    start: &Start<'py>,
+    keep: Vec<bool>,
+    gauge: CovarianceGauge,
+    sigma: f64,
+    options: &Bound<'py, PyDict>,
+) -> PyResult<Blocks<'py>>
+where
+    Rotation<D>: FromHeadingOrMatrix,
+{
+    let tracks = input.tracks::<D>()?;
+    let structure = Structure { inlier: keep, ..read_structure::<D>(input, start)? };
+    let (parsed, threads) = read_options::<D>(options)?;
+    let run = || covariance::<D, V>(&tracks, &structure, &parsed, gauge, sigma);
+    let found = py.detach(|| on_threads(threads, run))?.map_err(value_error)?;
+    let cameras = Array3::from_shape_fn((found.cameras.len(), V, V), |(i, r, c)| found.cameras[i][r][c]);
+    let points = Array3::from_shape_fn((found.points.len(), D, D), |(i, r, c)| found.points[i][r][c]);
+    Ok((cameras.into_pyarray(py), points.into_pyarray(py)))
 }
 
 /// The structure that a step starts from.
@@ -197,5 +251,6 @@ pub fn read_rig<const D: usize>(value: &Bound<'_, PyAny>) -> PyResult<Option<Rig
 
 /// Adds the functions to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(refine, module)?)
+    module.add_function(wrap_pyfunction!(refine, module)?)?;
+    module.add_function(wrap_pyfunction!(scene_covariance, module)?)
 }

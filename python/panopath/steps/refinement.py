@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Bool, InputError, LinearSolver, Scene, Tracks
+from panopath.model import Bool, Float, InputError, LinearSolver, Scene, Tracks, read_only
 from panopath.priors import Priors, Rig
 from panopath.steps.common import call_core
 from panopath.steps.positions import scene_of
@@ -99,6 +99,80 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
         _core_options(chosen, tracks, rig),
     )
     return scene_of(found, tracks)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCovariance:
+    """Covariances of a scene; NaN where nothing is determined."""
+
+    #: (n_views, 6, 6), for d = 2 (n_views, 3, 3): the turn in the camera, on the left, rad; then the centre in the world.
+    cameras: Float
+    #: (n_tracks, d, d).
+    points: Float
+
+
+def scene_covariance(  # noqa: PLR0917 (the public names and their order are fixed)
+    tracks: Tracks,
+    scene: Scene,
+    options: RefineOptions | None = None,
+    rig: Rig | None = None,
+    relative_to: int | None = None,
+    sigma_rad: float | None = None,
+) -> SceneCovariance:
+    """Covariances of all cameras and points, orientations unknown: what the noise leaves undetermined, to first order.
+
+    Parameters
+    ----------
+    tracks
+        The observations, as for :func:`refine`. Their ``sigma_rad`` are standard deviations where they are given.
+    scene
+        What :func:`refine` found; its inliers count.
+    options, rig
+        Those of the refinement: priors and what was held fix what bearings leave free.
+    relative_to
+        A view (index): errors are meant after this view's pose, and the rms distance of the centres from it, are
+        brought to the truth. None: after a fit by similarity over all centres of a component (over the orientations
+        too, where the centres lie on a line).
+    sigma_rad
+        Standard deviation of a bearing along each tangent direction, radians, for tracks without; default: what the
+        scene's summary estimates.
+
+    Returns
+    -------
+    SceneCovariance
+        Exact to first order: blocks of the inverse of the Fisher information.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that cannot be used; or where a component is not determined.
+    """
+    chosen = RefineOptions() if options is None else options
+    check_scene(scene, tracks)
+    if relative_to is not None and not 0 <= relative_to < tracks.n_views:
+        raise InputError(f"relative_to is {relative_to}, but there are {tracks.n_views} views")
+    if tracks.sigma_rad is not None:
+        sigma = float(np.median(tracks.sigma_rad))
+    else:
+        sigma = float(scene.summary.sigma_rad if sigma_rad is None else sigma_rad)
+    if not (np.isfinite(sigma) and sigma > 0.0):
+        raise InputError(f"sigma_rad is {sigma}, expected a positive number")
+    cameras, points = call_core(
+        _core.scene_covariance,
+        tracks.view,
+        tracks.track,
+        tracks.bearing,
+        tracks.n_views,
+        tracks.n_tracks,
+        tracks.sigma_rad,
+        scene.cam_from_world,
+        (scene.centers, scene.points, scene.view_component, scene.track_component),
+        scene.inlier,
+        relative_to,
+        sigma,
+        _core_options(chosen, tracks, rig),
+    )
+    return SceneCovariance(read_only(cameras), read_only(points))
 
 
 def check_scene(scene: Scene, tracks: Tracks) -> None:

@@ -19,14 +19,19 @@ use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
 use crate::tracks::Tracks;
 
+mod covariance;
 mod descent;
+mod gauge;
 mod options;
 mod poses;
 mod priors;
 
 pub use options::{DirectionPrior, Held, PositionPrior, Priors, RefineError, RefineOptions, Rig, RotationPrior};
 
+pub use covariance::{CovarianceGauge, Covariances, covariance};
+
 use descent::{Given, PoseSystem, State, descend};
+use gauge::Gauge;
 use poses::{Poses, Sights, turns};
 use priors::PartPriors;
 
@@ -182,8 +187,7 @@ struct Piece<const D: usize> {
     held: Vec<bool>,
     /// From the frame of the answer to that of the piece; no rotation.
     piece_from_world: Similarity<D>,
-    /// Do only bearings tell where the piece is?
-    is_free: bool,
+    gauge: Gauge<D>,
 }
 
 impl<const D: usize> Piece<D> {
@@ -220,9 +224,17 @@ impl<const D: usize> Piece<D> {
             cam_from_world: turned(&views, start, &world_from_start.rotation.inverse()),
             centers: views.iter().map(|&v| place(&start.centers[v as usize])).collect(),
         };
-        let is_free = priors.is_empty() && !holds_any(&options.held, &views);
         let stations = Levers::of(&observations, tracks, &nodes, options.rig.as_ref());
-        let freedom = views.len() * (turns(D) + D) - if is_free { turns(D) + D + 1 } else { 0 }.min(views.len());
+        let known = |t: usize| is_finite(&start.points[t]);
+        let holds_points = options
+            .held
+            .points
+            .iter()
+            .enumerate()
+            .any(|(t, held)| *held && component_of_track[t] == component && known(t));
+        let has_levers = stations.lever.iter().any(|a| a.iter().any(|x| *x != 0.0));
+        let gauge = Gauge::of(&views, &poses.centers, &options.held, &priors, holds_points, has_levers);
+        let freedom = (views.len() * (turns(D) + D)).saturating_sub(gauge.dim());
         let precision = precisions(tracks);
         let part = Part::new(
             Stations { node: stations.node.clone(), camera_freedom: freedom },
@@ -243,8 +255,8 @@ impl<const D: usize> Piece<D> {
         let held_points = if held_points.contains(&true) { held_points } else { Vec::new() };
         let lever = stations.lever.iter().map(|a| crate::geometry::scale(piece_from_world.scale, a)).collect();
         let sights = Sights { bearing: part.ray.clone(), lever };
-        let held = held_unknowns(&part, &views, options, &priors, !held_points.is_empty());
-        Ok(Some(Self { views, part, sights, poses, points, priors, held_points, held, piece_from_world, is_free }))
+        let held = held_unknowns(&part, &views, &options.held, &gauge);
+        Ok(Some(Self { views, part, sights, poses, points, priors, held_points, held, piece_from_world, gauge }))
     }
 
     /// Refines until observations and noise have settled.
@@ -276,7 +288,7 @@ impl<const D: usize> Piece<D> {
         };
         timings.descent_s += clock.elapsed().as_secs_f64();
         let mut refined = refined?;
-        if self.is_free {
+        if self.gauge.is_free() {
             self.align_to_start(&mut refined.state);
         }
         Ok(refined)
@@ -321,7 +333,7 @@ impl<const D: usize> Piece<D> {
             seen[part.node_of(o) as usize] += 1;
         }
         let unknowns = turns(D) + D;
-        let is_known = |node: usize| seen[node] * (D - 1) >= unknowns || !self.is_free && seen[node] > 0;
+        let is_known = |node: usize| seen[node] * (D - 1) >= unknowns || !self.gauge.is_free() && seen[node] > 0;
         for (node, &view) in self.views.iter().enumerate().filter(|(node, _)| is_known(*node)) {
             let view = view as usize;
             answer.centers[view] = world_from_piece(&state.poses.centers[node]);
@@ -512,41 +524,19 @@ fn holds_any(held: &Held, views: &[u32]) -> bool {
 
 /// Unknowns that stay zero: what the caller holds, and of the node that saw most as much of its pose as nothing else fixes.
 /// The scale is left to the damping.
-fn held_unknowns<const D: usize>(
-    part: &Part<D>,
-    views: &[u32],
-    options: &RefineOptions<D>,
-    priors: &PartPriors<D>,
-    holds_points: bool,
-) -> Vec<bool> {
+fn held_unknowns<const D: usize>(part: &Part<D>, views: &[u32], held: &Held, gauge: &Gauge<D>) -> Vec<bool> {
     let (n_turns, unknowns) = (turns(D), turns(D) + D);
-    let mut held = vec![false; views.len() * unknowns];
-    let (mut n_turned, mut n_placed) = (0, 0);
+    let mut zero = vec![false; views.len() * unknowns];
     for (node, &view) in views.iter().enumerate() {
-        if options.held.rotations.get(view as usize) == Some(&true) {
-            held[node * unknowns..node * unknowns + n_turns].fill(true);
-            n_turned += 1;
+        if held.rotations.get(view as usize) == Some(&true) {
+            zero[node * unknowns..node * unknowns + n_turns].fill(true);
         }
-        if options.held.centers.get(view as usize) == Some(&true) {
-            held[node * unknowns + n_turns..(node + 1) * unknowns].fill(true);
-            n_placed += 1;
+        if held.centers.get(view as usize) == Some(&true) {
+            zero[node * unknowns + n_turns..(node + 1) * unknowns].fill(true);
         }
     }
-    let known_places = n_placed + priors.positions().count();
-    let pinned = most_observed_node(part) * unknowns;
-    if known_places == 0 && !holds_points {
-        held[pinned + n_turns..pinned + unknowns].fill(true);
+    for k in gauge.pinned_unknowns(most_observed_node(part)) {
+        zero[k] = true;
     }
-    if n_turned == 0 && known_places < 2 && !holds_points && !priors.fix_rotation() {
-        match priors.only_direction() {
-            // the turn about a measured direction is free: hold the component that has most of it
-            Some(direction) if D == 3 => {
-                let axis = (0..D).fold(0, |best, c| if direction[c].abs() > direction[best].abs() { c } else { best });
-                held[pinned + axis] = true;
-            }
-            Some(_) => {}
-            None => held[pinned..pinned + n_turns].fill(true),
-        }
-    }
-    held
+    zero
 }

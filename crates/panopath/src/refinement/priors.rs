@@ -63,11 +63,6 @@ impl<const D: usize> PartPriors<D> {
         Ok(found)
     }
 
-    /// Is there none?
-    pub fn is_empty(&self) -> bool {
-        self.rotations.is_empty() && self.directions.is_empty() && self.positions.is_empty()
-    }
-
     /// Does any fix an orientation altogether?
     pub fn fix_rotation(&self) -> bool {
         !self.rotations.is_empty() || self.directions.len() > 1 && !self.directions_are_parallel()
@@ -84,7 +79,7 @@ impl<const D: usize> PartPriors<D> {
         self.directions.iter().all(|(_, d)| 1.0 - dot(&d.direction, &self.directions[0].1.direction).abs() < PARALLEL)
     }
 
-    /// Nodes with a known position, and where.
+    /// Nodes with a known position, and where, in the frame of the piece.
     pub fn positions(&self) -> impl Iterator<Item = (u32, Vector<D>)> {
         self.positions.iter().map(|(node, center, _)| (*node, *center))
     }
