@@ -105,7 +105,8 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
 class SceneCovariance:
     """Covariances of a scene; NaN where nothing is determined."""
 
-    #: (n_views, 6, 6), for d = 2 (n_views, 3, 3): the turn in the camera, on the left, rad; then the centre in the world.
+    #: (n_views, 6, 6): the turn in the camera, on the left (rad), and the centre in the world. (n_views, 3, 3) for
+    #: d = 2.
     cameras: Float
     #: (n_tracks, d, d).
     points: Float

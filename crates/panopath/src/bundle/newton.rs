@@ -124,10 +124,12 @@ pub(crate) trait CameraStep: Sync {
 }
 
 /// Centres that move, and nothing else.
-impl CameraStep for &[Lanes] {
+pub(crate) struct Shifts(pub Vec<Lanes>);
+
+impl CameraStep for Shifts {
     #[inline(always)]
     fn displacement(&self, station: usize, _point: &Lanes) -> Lanes {
-        self[station]
+        self.0[station]
     }
 }
 

@@ -3,7 +3,7 @@
 use super::PositionSystem;
 use crate::bundle::estimate::Estimate;
 use crate::bundle::levenberg::{Descent, Effort, Problem, minimise};
-use crate::bundle::newton::{NewtonWeights, Residuals, follow_cameras, sum_in_chunks};
+use crate::bundle::newton::{NewtonWeights, Residuals, Shifts, follow_cameras, sum_in_chunks};
 use crate::bundle::part::{Lanes, Part};
 use crate::bundle::reduced::{Damping, Translations};
 use crate::least_squares::LeastSquaresError;
@@ -44,9 +44,9 @@ impl<const D: usize> Problem for Positions<'_, D> {
         let part = self.residuals.part;
         let weights = NewtonWeights { residuals: self.residuals, estimate: self.estimate };
         self.system.assemble(part, &weights, &Translations, &[], Damping { point: damping, view: damping });
-        let step: Vec<Lanes> = self.system.solve()?.iter().map(Lanes::from_vector::<D>).collect();
-        let centers: Vec<Lanes> = self.estimate.centers.iter().zip(&step).map(|(c, d)| c.plus(d)).collect();
-        let (points, costs) = follow_cameras(&weights, &self.costs, &step.as_slice(), part, &centers, damping);
+        let step = Shifts(self.system.solve()?.iter().map(Lanes::from_vector::<D>).collect());
+        let centers: Vec<Lanes> = self.estimate.centers.iter().zip(&step.0).map(|(c, d)| c.plus(d)).collect();
+        let (points, costs) = follow_cameras(&weights, &self.costs, &step, part, &centers, damping);
         let cost = sum_in_chunks(part, &costs);
         Ok(((Estimate { centers, points }, costs), cost))
     }

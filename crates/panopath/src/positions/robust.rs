@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::descent::descend;
-use super::information::{assemble_information, weakest_mode_is_loose};
+use super::information::is_loose;
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
 use super::start::{Start, StartWeights, linear_start, robust_start};
@@ -15,9 +15,6 @@ use crate::bundle::noise::{FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, inliers
 use crate::bundle::part::{Lanes, Part};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
-
-/// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
-const MEANINGLESS_RAD: f64 = 0.2;
 
 /// Solution of one part, in its own gauge.
 pub(super) struct PartSolution {
@@ -223,23 +220,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations: 1, status })
 }
 
-/// Does the geometry leave a freedom beyond the gauge, as far as the noise lets one tell?
-fn is_loose<const D: usize>(
-    part: &Part<D>,
-    system: &mut PositionSystem<D>,
-    weights: &NewtonWeights<'_, D>,
-    sigma: f64,
-) -> Result<bool, LeastSquaresError> {
-    if sigma.is_nan() || sigma > MEANINGLESS_RAD {
-        return Ok(true);
-    }
-    match assemble_information(part, system, weights) {
-        Err(LeastSquaresError::Singular { .. }) => Ok(true),
-        other => other.and_then(|()| weakest_mode_is_loose(part, system, weights, sigma)),
-    }
-}
-
-/// The same of the first of two stages, which the second cannot mend.
+/// Does the first of two stages leave a freedom, which the second cannot mend?
 fn plan_is_loose<const D: usize>(
     part: &Part<D>,
     form: LinearForm,

@@ -85,7 +85,7 @@ impl<const D: usize, const V: usize> Problem for Bundle<'_, D, V> {
         self.system.assemble(part, &weights, &turns, &terms, Damping { point: damping, view: damping });
         let step = self.system.solve()?;
         let next = State::new(sights, part, poses.moved(&step), Vec::new());
-        let follow = PoseStep::<D, V> { layout: part, centers: &poses.centers, step: &step };
+        let follow = PoseStep::<D, V> { layout: part, centers: &poses.centers, step };
         let stations = &next.estimate.centers;
         let (mut points, mut costs) = follow_cameras(&weights, &self.costs, &follow, &next.part, stations, damping);
         let after = Residuals { part: &next.part, ..residuals };

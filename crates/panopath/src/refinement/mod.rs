@@ -9,11 +9,13 @@
 
 use std::time::Instant;
 
+use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, weakest_mode_is_loose};
 use crate::bundle::levenberg::Effort;
+use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::noise::{FIRST_OUTLIER_SIGMAS, chords, inliers, median, noise_scale, sigma_of_inliers};
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
-use crate::bundle::reduced::most_observed_node;
+use crate::bundle::reduced::{Damping, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
 use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
@@ -32,7 +34,7 @@ pub use covariance::{CovarianceGauge, Covariances, covariance};
 
 use descent::{Given, PoseSystem, State, descend};
 use gauge::Gauge;
-use poses::{Poses, Sights, turns};
+use poses::{PoseStep, Poses, Sights, Turns, turns};
 use priors::PartPriors;
 
 /// Refines orientations, centres and points together, each component of `start` by itself.
@@ -188,6 +190,7 @@ struct Piece<const D: usize> {
     /// From the frame of the answer to that of the piece; no rotation.
     piece_from_world: Similarity<D>,
     gauge: Gauge<D>,
+    huber_sigmas: f64,
 }
 
 impl<const D: usize> Piece<D> {
@@ -255,8 +258,21 @@ impl<const D: usize> Piece<D> {
         let held_points = if held_points.contains(&true) { held_points } else { Vec::new() };
         let lever = stations.lever.iter().map(|a| crate::geometry::scale(piece_from_world.scale, a)).collect();
         let sights = Sights { bearing: part.ray.clone(), lever };
+        let huber_sigmas = options.huber_sigmas;
         let held = held_unknowns(&part, &views, &options.held, &gauge);
-        Ok(Some(Self { views, part, sights, poses, points, priors, held_points, held, piece_from_world, gauge }))
+        Ok(Some(Self {
+            views,
+            part,
+            sights,
+            poses,
+            points,
+            priors,
+            held_points,
+            held,
+            piece_from_world,
+            gauge,
+            huber_sigmas,
+        }))
     }
 
     /// Refines until observations and noise have settled.
@@ -277,7 +293,7 @@ impl<const D: usize> Piece<D> {
             sights: &self.sights,
             priors: &self.priors,
             held_points: &self.held_points,
-            huber_sigmas: options.huber_sigmas,
+            huber_sigmas: self.huber_sigmas,
         };
         let refined = if options.reject_outliers {
             settle(&given, &mut system, state, options.max_iterations)
@@ -288,10 +304,36 @@ impl<const D: usize> Piece<D> {
         };
         timings.descent_s += clock.elapsed().as_secs_f64();
         let mut refined = refined?;
+        refined.loose |= self.is_loose(&mut system, &refined)?;
         if self.gauge.is_free() {
             self.align_to_start(&mut refined.state);
         }
         Ok(refined)
+    }
+
+    /// Do the kept observations leave a freedom beyond the gauge, as far as the noise lets one tell?
+    fn is_loose<const V: usize>(
+        &self,
+        system: &mut PoseSystem<D, V>,
+        refined: &Refined<D>,
+    ) -> Result<bool, LeastSquaresError> {
+        if refined.sigma.is_nan() || refined.sigma > MEANINGLESS_RAD {
+            return Ok(true);
+        }
+        let State { poses, part, estimate } = &refined.state;
+        let residuals = Residuals { part, keep: &refined.active, huber: self.huber_sigmas * refined.sigma };
+        let weights = NewtonWeights { residuals, estimate };
+        let turns = Turns { part, centers: &poses.centers, points: &estimate.points, held: &self.held_points };
+        let terms = self.priors.terms(poses, refined.sigma);
+        system.assemble(part, &weights, &turns, &terms, Damping { point: GUARD, view: GUARD });
+        match system.factorise() {
+            Err(LeastSquaresError::Singular { .. }) => return Ok(true),
+            other => other?,
+        }
+        let gauge = GaugeBasis::new(self.gauge.basis::<V>(&poses.centers));
+        let step_of =
+            |x: &[f64]| PoseStep::<D, V> { layout: part, centers: &poses.centers, step: x.as_chunks::<V>().0.to_vec() };
+        weakest_mode_is_loose(system, &weights, &gauge, step_of, refined.sigma)
     }
 
     /// Takes out what the gauge let drift: the mean turn of the views, their centroid and their rms distance from it are
@@ -367,13 +409,15 @@ struct Refined<const D: usize> {
     sigma: f64,
     iterations: usize,
     converged: bool,
-    /// So few tracks show parallax that the views cannot be told from one place.
-    without_parallax: bool,
+    /// The inliers that the last descent used.
+    active: Vec<bool>,
+    /// More is free than the gauge; for one, so few tracks may show parallax that the views cannot be told from one place.
+    loose: bool,
 }
 
 impl<const D: usize> Refined<D> {
     fn status(&self) -> Status {
-        match (self.converged, self.without_parallax) {
+        match (self.converged, self.loose) {
             (_, true) => Status::Ambiguous,
             (true, false) => Status::Converged,
             (false, false) => Status::MaxIterations,
@@ -442,7 +486,8 @@ fn finish<const D: usize, const V: usize>(
         sigma,
         iterations: descent.iterations,
         converged: descent.converged,
-        without_parallax: parallel.everything,
+        loose: parallel.everything,
+        active,
         state,
     })
 }

@@ -157,7 +157,7 @@ impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
 pub(super) struct PoseStep<'a, const D: usize, const V: usize> {
     pub layout: &'a Layout,
     pub centers: &'a [Lanes],
-    pub step: &'a [[f64; V]],
+    pub step: Vec<[f64; V]>,
 }
 
 impl<const D: usize, const V: usize> CameraStep for PoseStep<'_, D, V> {
