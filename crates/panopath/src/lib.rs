@@ -20,6 +20,7 @@ pub mod sphere;
 pub mod structure;
 pub mod synthetic;
 pub mod tracks;
+pub mod view_graph;
 
 pub use geometry::{Rotation, Similarity};
 pub use least_squares::LinearSolver;

@@ -3,7 +3,7 @@
 use super::newton::{CameraStep, NewtonWeights, point_displacement};
 use super::noise::FitSize;
 use super::part::for_each_chunk;
-use super::reduced::{ReducedSystem, Row};
+use super::reduced::Factorised;
 use crate::least_squares::LeastSquaresError;
 
 /// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
@@ -32,8 +32,8 @@ const INVERSE_ITERATIONS: usize = 6;
 ///   observation `(i, j)` by `lambda_ij` turns it, at positions that err by the noise, by about `sigma lambda_ij`, so
 ///   that its squared error is `(d - 1) sum (lambda_ij - mean_j)^2` in units of sigma. (The mean over a track is taken
 ///   off, since a scale of its own leaves the directions of one track exact.)
-pub(crate) fn weakest_mode_is_loose<const D: usize, const V: usize, R: Row, S: CameraStep>(
-    system: &ReducedSystem<D, V, R>,
+pub(crate) fn weakest_mode_is_loose<const D: usize, S: CameraStep>(
+    system: &impl Factorised,
     weights: &NewtonWeights<'_, D>,
     gauge: &GaugeBasis,
     step_of: impl Fn(&[f64]) -> S,
@@ -62,11 +62,8 @@ struct Mode {
 }
 
 /// The weakest mode, by inverse iteration; `None` where the gauge is all there is.
-fn weakest_mode<const D: usize, const V: usize, R: Row>(
-    system: &ReducedSystem<D, V, R>,
-    gauge: &GaugeBasis,
-) -> Result<Option<Mode>, LeastSquaresError> {
-    let diagonal = system.diagonal().as_flattened();
+fn weakest_mode(system: &impl Factorised, gauge: &GaugeBasis) -> Result<Option<Mode>, LeastSquaresError> {
+    let diagonal = system.diagonal();
     // any start with a share of every mode will do; this one is the same on every run
     let mut mode: Vec<f64> = (0..diagonal.len()).map(|k| (1.0 + 2.3 * k as f64).sin()).collect();
     let (mut stiffness, mut guard) = (f64::NAN, f64::NAN);
@@ -79,7 +76,7 @@ fn weakest_mode<const D: usize, const V: usize, R: Row>(
         mode.iter_mut().for_each(|x| *x /= length);
         let pushed = mode.clone();
         clear_held(system.held(), &mut mode);
-        system.solve_for(&mut mode, 1)?;
+        system.solve_for(&mut mode)?;
         let energy = dot_product(&mode, &pushed);
         let held: f64 = mode.iter().zip(diagonal).map(|(x, d)| GUARD * d * x * x).sum();
         gauge.remove(&mut mode);

@@ -6,6 +6,7 @@
 
 pub(crate) mod determinacy;
 pub(crate) mod estimate;
+pub(crate) mod full;
 pub(crate) mod levenberg;
 pub(crate) mod newton;
 pub(crate) mod noise;

@@ -441,11 +441,6 @@ impl<const D: usize, const V: usize, R: Row> ReducedSystem<D, V, R> {
         &self.held
     }
 
-    /// Diagonal of the unreduced camera blocks, to which the damping of views is relative.
-    pub fn diagonal(&self) -> &[[f64; V]] {
-        &self.diagonal
-    }
-
     /// Which nodes are coupled.
     pub fn pattern(&self) -> &BlockPattern {
         &self.pattern
@@ -530,6 +525,30 @@ fn hold_and_damp<const V: usize>(
                 column[slot] += if hold { largest.max(f64::MIN_POSITIVE) } else { view_damping * diagonal[c] };
             }
         }
+    }
+}
+
+/// A system of cameras as it was factorised last.
+pub(crate) trait Factorised {
+    /// Solves in place for one right-hand side of the cameras' unknowns; those that are held must be zero.
+    fn solve_for(&self, right: &mut [f64]) -> Result<(), LeastSquaresError>;
+    /// The unknowns that stay zero.
+    fn held(&self) -> &[bool];
+    /// Diagonal of the camera blocks without what points take away.
+    fn diagonal(&self) -> &[f64];
+}
+
+impl<const D: usize, const V: usize, R: Row> Factorised for ReducedSystem<D, V, R> {
+    fn solve_for(&self, right: &mut [f64]) -> Result<(), LeastSquaresError> {
+        self.solver.solve(right, 1)
+    }
+
+    fn held(&self) -> &[bool] {
+        &self.held
+    }
+
+    fn diagonal(&self) -> &[f64] {
+        self.diagonal.as_flattened()
     }
 }
 

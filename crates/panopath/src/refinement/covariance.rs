@@ -9,14 +9,14 @@
 
 use rayon::prelude::*;
 
-use super::descent::{PoseSystem, State};
+use super::descent::State;
 use super::gauge::{Gauge, inner, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
 use super::{Piece, check, components_of_tracks};
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::part::{Lanes, Part};
-use crate::bundle::reduced::{Damping, Freedoms, PointSum, Row, Weighing, most_observed_node};
+use crate::bundle::reduced::{Damping, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node};
 use crate::geometry::Matrix;
 use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse};
 use crate::structure::Structure;
@@ -108,7 +108,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
             }
         }
         let held = with_scale_held(piece, &state);
-        let mut system = PoseSystem::<D, V>::analyse(part, LinearSolver::Direct, held.clone())?;
+        let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);
         let turns = turns_of(piece, &state);
         let terms = piece.priors.terms(&state.poses, sigma);
