@@ -31,6 +31,7 @@ __all__ = [
     "solve_positions",
     "spherical_from_bearings",
     "vertical_field_of_view",
+    "view_pairs",
 ]
 
 __version__: str
@@ -57,6 +58,16 @@ def refine(
     start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
+def view_pairs(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    min_shared: int,
+    max_partners: int,
+    max_matches: int,
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.int32]]: ...
 def scene_covariance(
     view: npt.NDArray[np.int32],
     track: npt.NDArray[np.int32],

@@ -7,6 +7,7 @@ mod refinement;
 mod sphere;
 mod synthetic;
 mod table;
+mod view_graph;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -15,5 +16,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     refinement::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
-    table::register(module)
+    table::register(module)?;
+    view_graph::register(module)
 }

@@ -4,7 +4,7 @@ use numpy::ndarray::Array3;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use panopath::geometry::Matrix;
 use panopath::refinement::{
-    CovarianceGauge, DirectionPrior, PositionPrior, Priors, RefineOptions, Rig, RotationPrior, covariance,
+    CovarianceGauge, DirectionPrior, PositionPrior, RefineOptions, Rig, RotationPrior, covariance,
     refine as refine_structure,
 };
 use panopath::structure::{Status, Structure, Summary, Timings};
@@ -168,24 +168,6 @@ pub fn linear_solver(value: &Bound<'_, PyAny>) -> PyResult<LinearSolver> {
         &value.extract::<String>()?,
         &[("auto", LinearSolver::Auto), ("direct", LinearSolver::Direct), ("iterative", LinearSolver::Iterative)],
     )
-}
-
-/// The priors of a dict of options.
-pub fn read_priors<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<Priors<D>>
-where
-    Rotation<D>: FromHeadingOrMatrix,
-{
-    let mut priors = Priors::default();
-    if let Some(value) = options.get_item("rotation_priors")? {
-        priors.rotations = rotation_priors(&value)?;
-    }
-    if let Some(value) = options.get_item("direction_priors")? {
-        priors.directions = direction_priors(&value)?;
-    }
-    if let Some(value) = options.get_item("position_priors")? {
-        priors.positions = position_priors(&value)?;
-    }
-    Ok(priors)
 }
 
 fn matrices<const D: usize>(array: &PyReadonlyArray3<'_, f64>, name: &str) -> PyResult<Vec<Matrix<D>>> {
