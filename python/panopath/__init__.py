@@ -23,7 +23,16 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.steps import position_covariance, solve_positions
+from panopath.steps import (
+    TwoView,
+    TwoViewOptions,
+    TwoViews,
+    TwoViewStatus,
+    position_covariance,
+    relative_pose,
+    relative_poses,
+    solve_positions,
+)
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
@@ -41,6 +50,10 @@ __all__ = [
     "Summary",
     "SyntheticWorld",
     "Tracks",
+    "TwoView",
+    "TwoViewOptions",
+    "TwoViewStatus",
+    "TwoViews",
     "__version__",
     "evaluate",
     "position_covariance",
@@ -49,6 +62,8 @@ __all__ = [
     "read_scene",
     "read_tracks",
     "read_truth",
+    "relative_pose",
+    "relative_poses",
     "simulate",
     "solve_positions",
     "write_scene",

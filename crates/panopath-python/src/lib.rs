@@ -6,6 +6,7 @@ mod positions;
 mod sphere;
 mod synthetic;
 mod table;
+mod two_view;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -13,5 +14,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     positions::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
-    table::register(module)
+    table::register(module)?;
+    two_view::register(module)
 }

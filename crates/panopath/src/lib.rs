@@ -17,6 +17,7 @@ pub mod positions;
 pub mod sphere;
 pub mod synthetic;
 pub mod tracks;
+pub mod two_view;
 
 pub use geometry::{Rotation, Similarity};
 pub use positions::{PositionError, PositionOptions, Structure, solve_positions};

@@ -1,0 +1,180 @@
+//! Consensus among random small samples (Fischler and Bolles 1981), each new best one improved over all matches
+//! (Chum, Matas and Kittler 2003), until a better one would have been drawn with the confidence asked for.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale, sub};
+
+use super::epipolar::{Fitting, Mixture, Pose, Score, poses_of, score, sighting};
+use super::five_point::{cross, essential_matrices};
+
+/// Samples drawn at least: a sample of true matches may be a poor one.
+const LEAST_SAMPLES: usize = 12;
+/// Samples drawn at most for a rotation; it is only one of the ways to a pose.
+const MOST_ROTATIONS: usize = 100;
+
+/// What a search works on.
+pub struct Search<'a> {
+    pub arch: pulp::Arch,
+    pub fitting: Fitting<'a>,
+    /// Errors up to this agree.
+    pub limit: f64,
+    pub confidence: f64,
+    pub max_iterations: usize,
+}
+
+/// A pose and how well it fits.
+#[derive(Clone, Copy)]
+pub struct Candidate {
+    pub pose: Pose,
+    pub score: Score,
+}
+
+impl Search<'_> {
+    /// Poses from five matches each, and from the best direction for a rotation that is proposed.
+    pub fn pose(&self, rng: &mut ChaCha8Rng, proposed: Option<&Rotation<3>>) -> Option<Candidate> {
+        let matches = self.fitting.matches;
+        let mut best = proposed.and_then(|rotation| self.direction(rng, rotation)).and_then(|c| self.improved(&c.pose));
+        let mut raw_cost = f64::INFINITY;
+        let (mut drawn, mut needed) = (0, self.samples_for(best, 5));
+        while drawn < needed {
+            drawn += 1;
+            let sample = draw::<5>(rng, matches.len());
+            let (first, second) = (sample.map(|i| matches.first[i]), sample.map(|i| matches.second[i]));
+            let mut improved = None;
+            essential_matrices(&first, &second, |e| {
+                for pose in poses_of(e).iter().flatten().filter(|p| self.all_in_front(p, &first, &second)) {
+                    let score = score(self.arch, matches, pose, self.limit, raw_cost);
+                    if score.cost < raw_cost {
+                        raw_cost = score.cost;
+                        improved = Some(*pose);
+                    }
+                }
+            });
+            if let Some(candidate) = improved.and_then(|pose| self.improved(&pose))
+                && best.is_none_or(|b| candidate.score.cost < b.score.cost)
+            {
+                best = Some(candidate);
+                needed = self.samples_for(best, 5);
+            }
+        }
+        best
+    }
+
+    /// Directions from two matches each, the rotation being given: `s` is perpendicular to `R b1 x b2` of both.
+    pub fn direction(&self, rng: &mut ChaCha8Rng, rotation: &Rotation<3>) -> Option<Candidate> {
+        let matches = self.fitting.matches;
+        let mut best: Option<Candidate> = None;
+        let (mut drawn, mut needed) = (0, self.samples_for(best, 2));
+        while drawn < needed {
+            drawn += 1;
+            let normals =
+                draw::<2>(rng, matches.len()).map(|i| cross(&rotation.apply(&matches.first[i]), &matches.second[i]));
+            let s = cross(&normals[0], &normals[1]);
+            if dot(&s, &s) < 1e-24 {
+                continue;
+            }
+            for baseline in [normalized(&s), normalized(&scale(-1.0, &s))] {
+                let pose = Pose { second_from_first: *rotation, baseline };
+                let at_most = best.map_or(f64::INFINITY, |b| b.score.cost);
+                let score = score(self.arch, matches, &pose, self.limit, at_most);
+                if score.cost < at_most {
+                    best = Some(Candidate { pose, score });
+                    needed = self.samples_for(best, 2);
+                }
+            }
+        }
+        best
+    }
+
+    /// Rotations from two matches each, for views without a baseline.
+    pub fn rotation(&self, rng: &mut ChaCha8Rng) -> Option<Rotation<3>> {
+        let matches = self.fitting.matches;
+        let squared_limit = 2.0 * self.limit * self.limit;
+        let (mut best, mut best_cost) = (None, f64::INFINITY);
+        let (mut drawn, mut needed) = (0, MOST_ROTATIONS.min(self.max_iterations));
+        while drawn < needed {
+            drawn += 1;
+            let [i, j] = draw::<2>(rng, matches.len());
+            let apart = dot(&matches.first[i], &matches.first[j]) - dot(&matches.second[i], &matches.second[j]);
+            // a rotation keeps the angle between two bearings
+            if apart.abs() > 4.0 * self.limit {
+                continue;
+            }
+            let (Some(from), Some(to)) =
+                (frame(&matches.first[i], &matches.first[j]), frame(&matches.second[i], &matches.second[j]))
+            else {
+                continue;
+            };
+            let Some(rotation) = Rotation::from_matrix(std::array::from_fn(|r| {
+                std::array::from_fn(|c| (0..3).map(|k| to[k][r] * from[k][c]).sum())
+            })) else {
+                continue;
+            };
+            let (mut cost, mut n_inliers) = (0.0, 0usize);
+            for (a, b) in matches.first.iter().zip(&matches.second) {
+                let d = sub(&rotation.apply(a), b);
+                let squared = dot(&d, &d);
+                cost += squared.min(squared_limit);
+                n_inliers += usize::from(squared < squared_limit);
+                if cost >= best_cost {
+                    break;
+                }
+            }
+            if cost < best_cost {
+                (best, best_cost) = (Some(rotation), cost);
+                needed = needed.min(self.samples(n_inliers, 2));
+            }
+        }
+        best
+    }
+
+    /// A few steps of descent over all matches.
+    fn improved(&self, pose: &Pose) -> Option<Candidate> {
+        let mixture = Mixture { sigma: self.limit / 3.0, share: 0.5, chance_density: 0.5 };
+        let pose = self.fitting.descend(pose, &mixture, 4).pose;
+        let score = score(self.arch, self.fitting.matches, &pose, self.limit, f64::INFINITY);
+        score.cost.is_finite().then_some(Candidate { pose, score })
+    }
+
+    fn all_in_front(&self, pose: &Pose, first: &[Vector<3>; 5], second: &[Vector<3>; 5]) -> bool {
+        first.iter().zip(second).all(|(a, b)| sighting(pose, a, b, self.limit).in_front)
+    }
+
+    fn samples_for(&self, best: Option<Candidate>, size: i32) -> usize {
+        best.map_or(self.max_iterations, |b| self.samples(b.score.n_inliers, size))
+    }
+
+    /// Samples after which one of true matches only has been drawn, with the confidence asked for.
+    fn samples(&self, n_inliers: usize, size: i32) -> usize {
+        let share = n_inliers as f64 / self.fitting.matches.len() as f64;
+        let miss = (1.0 - share.powi(size)).clamp(1e-12, 1.0 - 1e-12);
+        let samples = ((1.0 - self.confidence).ln() / miss.ln()).ceil().min(1e9) as usize;
+        samples.max(LEAST_SAMPLES).min(self.max_iterations)
+    }
+}
+
+/// `N` different numbers below `n`, which is at least `N`.
+fn draw<const N: usize>(rng: &mut ChaCha8Rng, n: usize) -> [usize; N] {
+    let mut sample = [usize::MAX; N];
+    for k in 0..N {
+        while sample[k] == usize::MAX || sample[..k].contains(&sample[k]) {
+            sample[k] = rng.random_range(0..n);
+        }
+    }
+    sample
+}
+
+/// Right-handed frame of two directions that enter alike: their mean, their difference and the perpendicular of both.
+fn frame(a: &Vector<3>, b: &Vector<3>) -> Option<Matrix<3>> {
+    let (mean, difference) = (std::array::from_fn(|c| a[c] + b[c]), sub(a, b));
+    let (long, short) =
+        (dot(&mean, &mean).max(dot(&difference, &difference)), dot(&mean, &mean).min(dot(&difference, &difference)));
+    // nearly the same or nearly opposite bearings turn about themselves freely
+    if short < 1e-6 * long {
+        return None;
+    }
+    let (x, y) = (normalized(&mean), normalized(&difference));
+    Some([x, y, cross(&x, &y)])
+}
