@@ -327,17 +327,13 @@ impl Pair<'_> {
             return self.undetermined();
         }
         let rotation = self.rotation(rng);
-        let general = self.general(rng, rotation.as_ref());
-        match (general, rotation) {
-            (Some(fit), rotation) => {
-                if let Some(rotation) = rotation
-                    && self.has_no_baseline(&fit, &rotation)
-                {
-                    return self.pure_rotation(&rotation);
-                }
-                self.with_baseline(&fit)
-            }
-            (None, Some(rotation)) => self.pure_rotation(&rotation),
+        let alone = rotation.as_ref().filter(|fit| self.stands_alone(fit));
+        // a known rotation need not explain anything by itself
+        let proposed = if self.known.is_some() { rotation.as_ref() } else { alone };
+        match (self.general(rng, proposed), alone) {
+            (Some(fit), Some(rotation)) if self.has_no_baseline(&fit, rotation) => self.pure_rotation(rotation),
+            (Some(fit), _) => self.with_baseline(&fit),
+            (None, Some(rotation)) => self.pure_rotation(rotation),
             (None, None) => self.undetermined(),
         }
     }
@@ -365,28 +361,31 @@ impl Pair<'_> {
         }
     }
 
-    /// The rotation that explains most matches without a baseline, if it explains more than chance does.
+    /// The rotation that explains most matches without a baseline, or the one that is known.
     fn rotation(&self, rng: &mut ChaCha8Rng) -> Option<RotationFit> {
-        let sigma = self.search_error() / 3.0;
         let start = match self.known {
             Some(rotation) => *rotation,
             None => self.search().rotation(rng)?,
         };
-        let fit = fit_rotation(self.matches, &start, self.known.is_some(), sigma, LEAST_SIGMA_RAD);
+        let sigma = self.search_error() / 3.0;
+        Some(fit_rotation(self.matches, &start, self.known.is_some(), sigma, (LEAST_SIGMA_RAD, sigma)))
+    }
+
+    /// Whether a rotation explains more matches than chance does, and these fix it.
+    fn stands_alone(&self, fit: &RotationFit) -> bool {
         let chance = self.chance(|a, b| fit.explains(a, b));
         let fixed_by = if self.known.is_some() { 0 } else { 2 };
-        let found = self.is_consensus(&fit.explained, fixed_by, chance);
-        let certain = self.known.is_some()
+        let certain =
             || fit.normal.inverse().is_some_and(|c| fit.sigma * largest_deviation(&c) < LARGEST_DEVIATION_RAD);
-        (found && certain).then_some(fit)
+        self.is_consensus(&fit.explained, fixed_by, chance) && (self.known.is_some() || certain())
     }
 
     /// The pose that explains most matches, if it explains more than chance does and they fix it.
     fn general(&self, rng: &mut ChaCha8Rng, rotation: Option<&RotationFit>) -> Option<Fit> {
         let search = self.search();
         let pose = match self.known {
-            Some(known) => search.direction(rng, known)?.pose,
-            None => search.pose(rng, rotation.map(|fit| &fit.second_from_first))?.pose,
+            Some(_) => search.direction(rng, rotation?)?.pose,
+            None => search.pose(rng, rotation)?.pose,
         };
         let wide = 3.0 * self.search_error();
         let chance = self.chance(|a, b| {
@@ -529,7 +528,10 @@ impl Pair<'_> {
         }
     }
 
-    fn pure_rotation(&self, fit: &RotationFit) -> TwoView {
+    fn pure_rotation(&self, found: &RotationFit) -> TwoView {
+        // so far the noise was kept small, for matches with a parallax to stand out
+        let within = (LEAST_SIGMA_RAD, self.search_error());
+        let fit = fit_rotation(self.matches, &found.second_from_first, self.known.is_some(), found.sigma, within);
         let covariance = match (self.known, fit.normal.inverse()) {
             (Some(_), _) => [[0.0; 3]; 3],
             (None, Some(inverse)) => inverse.map(|row| row.map(|x| 2.0 * fit.sigma * fit.sigma * x)),
@@ -537,7 +539,7 @@ impl Pair<'_> {
         };
         TwoView {
             second_from_first: fit.second_from_first,
-            inlier: fit.explained.clone(),
+            inlier: fit.explained,
             n_inliers: fit.n_explained,
             status: TwoViewStatus::PureRotation,
             sigma_rad: fit.sigma,

@@ -18,6 +18,10 @@ const GATE: f64 = 4.0;
 /// Agreement that would come about by chance less often than this is no chance.
 const SURPRISE: f64 = 0.01;
 
+/// The direction of a baseline that is not there is the best of a whole sphere for the noise at hand, and makes the noise
+/// look small: over views without a baseline the ratio exceeds this many of its standard deviations once in a hundred.
+const RATIO_DEVIATIONS: f64 = 7.0;
+
 /// A rotation without a baseline.
 pub struct RotationFit {
     pub second_from_first: Rotation<3>,
@@ -42,9 +46,15 @@ impl RotationFit {
     }
 }
 
-/// Fits a rotation to the matches near it, or only the noise where it is `known`: Gauss-Newton, the noise and the matches
-/// within it in turn.
-pub fn fit_rotation(matches: &Matches, start: &Rotation<3>, known: bool, sigma: f64, least_sigma: f64) -> RotationFit {
+/// Fits a rotation to the matches within the noise of it, `sigma` at first and `within` two bounds later, or only the noise where it is `known`: Gauss-Newton, the
+/// noise and the matches in turn.
+pub fn fit_rotation(
+    matches: &Matches,
+    start: &Rotation<3>,
+    known: bool,
+    sigma: f64,
+    within: (f64, f64),
+) -> RotationFit {
     let mut fit = RotationFit {
         second_from_first: *start,
         sigma,
@@ -63,7 +73,7 @@ pub fn fit_rotation(matches: &Matches, start: &Rotation<3>, known: bool, sigma: 
             break;
         }
         let before = fit.sigma;
-        fit.sigma = (0.5 * squares / freedom).sqrt().clamp(least_sigma, sigma);
+        fit.sigma = (0.5 * squares / freedom).sqrt().clamp(within.0, within.1);
         if dot(&phi, &phi).sqrt() < 1e-9 && (fit.sigma - before).abs() < 1e-3 * before {
             break;
         }
@@ -283,10 +293,10 @@ pub fn n_before(matches: &Matches, fit: &PlaneFit, planar: &PlanarPose) -> usize
 }
 
 /// Whether a sum of squares over `more` further degrees of freedom is what the noise makes of them: not above their number
-/// by four standard deviations of the ratio to the noise, itself known from `known` degrees of freedom.
+/// by [`RATIO_DEVIATIONS`] of the ratio to the noise, itself known from `known` degrees of freedom.
 pub fn is_noise(squares: f64, more: f64, sigma: f64, known: f64) -> bool {
     let ratio = squares / (more * sigma * sigma);
-    ratio < 1.0 + 4.0 * (2.0 / more + 2.0 / known).sqrt()
+    ratio < 1.0 + RATIO_DEVIATIONS * (2.0 / more + 2.0 / known).sqrt()
 }
 
 /// The number of matches, out of `n` false ones, that the best direction of a baseline agrees with by chance: two fix it,

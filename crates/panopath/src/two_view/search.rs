@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale, sub};
 
+use super::degenerate::RotationFit;
 use super::epipolar::{Fitting, Mixture, Pose, Score, poses_of, score, sighting};
 use super::five_point::{cross, essential_matrices};
 
@@ -13,6 +14,9 @@ use super::five_point::{cross, essential_matrices};
 const LEAST_SAMPLES: usize = 12;
 /// Samples drawn at most for a rotation; it is only one of the ways to a pose.
 const MOST_ROTATIONS: usize = 100;
+
+/// Samples drawn at most from the matches that a rotation does not explain: all of them may be false.
+const MOST_APART: usize = 250;
 
 /// What a search works on.
 pub struct Search<'a> {
@@ -33,11 +37,12 @@ pub struct Candidate {
 
 impl Search<'_> {
     /// Poses from five matches each, and from the best direction for a rotation that is proposed.
-    pub fn pose(&self, rng: &mut ChaCha8Rng, proposed: Option<&Rotation<3>>) -> Option<Candidate> {
+    pub fn pose(&self, rng: &mut ChaCha8Rng, proposed: Option<&RotationFit>) -> Option<Candidate> {
         let matches = self.fitting.matches;
-        let mut best = proposed.and_then(|rotation| self.direction(rng, rotation)).and_then(|c| self.improved(&c.pose));
+        let mut best = proposed.and_then(|fit| self.direction(rng, fit)).and_then(|c| self.improved(&c.pose));
+        let share = |c: Candidate| c.score.n_inliers as f64 / matches.len() as f64;
         let mut raw_cost = f64::INFINITY;
-        let (mut drawn, mut needed) = (0, self.samples_for(best, 5));
+        let (mut drawn, mut needed) = (0, best.map_or(self.max_iterations, |b| self.samples(share(b), 5)));
         while drawn < needed {
             drawn += 1;
             let sample = draw::<5>(rng, matches.len());
@@ -56,32 +61,44 @@ impl Search<'_> {
                 && best.is_none_or(|b| candidate.score.cost < b.score.cost)
             {
                 best = Some(candidate);
-                needed = self.samples_for(best, 5);
+                needed = self.samples(share(candidate), 5);
             }
         }
         best
     }
 
     /// Directions from two matches each, the rotation being given: `s` is perpendicular to `R b1 x b2` of both.
-    pub fn direction(&self, rng: &mut ChaCha8Rng, rotation: &Rotation<3>) -> Option<Candidate> {
+    ///
+    /// Matches that the rotation explains alone agree with every direction within the noise. Where most are of that kind the
+    /// others are few and decide: every second sample is drawn from them.
+    pub fn direction(&self, rng: &mut ChaCha8Rng, rotation: &RotationFit) -> Option<Candidate> {
         let matches = self.fitting.matches;
+        let all: Vec<usize> = (0..matches.len()).collect();
+        let apart: Vec<usize> = all.iter().copied().filter(|&i| !rotation.explained[i]).collect();
+        let turns = if apart.len() < 2 { [&all, &all] } else { [&all, &apart] };
         let mut best: Option<Candidate> = None;
-        let (mut drawn, mut needed) = (0, self.samples_for(best, 2));
+        let (mut drawn, mut needed) = (0, self.max_iterations);
         while drawn < needed {
+            let among = turns[drawn % 2];
             drawn += 1;
-            let normals =
-                draw::<2>(rng, matches.len()).map(|i| cross(&rotation.apply(&matches.first[i]), &matches.second[i]));
+            let normals = draw::<2>(rng, among.len()).map(|k| {
+                let i = among[k];
+                cross(&rotation.second_from_first.apply(&matches.first[i]), &matches.second[i])
+            });
             let s = cross(&normals[0], &normals[1]);
             if dot(&s, &s) < 1e-24 {
                 continue;
             }
             for baseline in [normalized(&s), normalized(&scale(-1.0, &s))] {
-                let pose = Pose { second_from_first: *rotation, baseline };
+                let pose = Pose { second_from_first: rotation.second_from_first, baseline };
                 let at_most = best.map_or(f64::INFINITY, |b| b.score.cost);
                 let score = score(self.arch, matches, &pose, self.limit, at_most);
                 if score.cost < at_most {
                     best = Some(Candidate { pose, score });
-                    needed = self.samples_for(best, 2);
+                    let agreeing = score.n_inliers.saturating_sub(matches.len() - apart.len());
+                    let of_all = self.samples(score.n_inliers as f64 / matches.len() as f64, 2);
+                    let of_apart = self.samples(agreeing as f64 / apart.len().max(1) as f64, 2).min(MOST_APART);
+                    needed = 2 * of_all.max(of_apart);
                 }
             }
         }
@@ -124,7 +141,7 @@ impl Search<'_> {
             }
             if cost < best_cost {
                 (best, best_cost) = (Some(rotation), cost);
-                needed = needed.min(self.samples(n_inliers, 2));
+                needed = needed.min(self.samples(n_inliers as f64 / matches.len() as f64, 2));
             }
         }
         best
@@ -142,13 +159,8 @@ impl Search<'_> {
         first.iter().zip(second).all(|(a, b)| sighting(pose, a, b, self.limit).in_front)
     }
 
-    fn samples_for(&self, best: Option<Candidate>, size: i32) -> usize {
-        best.map_or(self.max_iterations, |b| self.samples(b.score.n_inliers, size))
-    }
-
     /// Samples after which one of true matches only has been drawn, with the confidence asked for.
-    fn samples(&self, n_inliers: usize, size: i32) -> usize {
-        let share = n_inliers as f64 / self.fitting.matches.len() as f64;
+    fn samples(&self, share: f64, size: i32) -> usize {
         let miss = (1.0 - share.powi(size)).clamp(1e-12, 1.0 - 1e-12);
         let samples = ((1.0 - self.confidence).ln() / miss.ln()).ceil().min(1e9) as usize;
         samples.max(LEAST_SAMPLES).min(self.max_iterations)
