@@ -23,7 +23,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale};
+use crate::geometry::{Matrix, Rotation, Vector, dot, norm, normalized, scale, sub};
 use crate::tracks::UNIT_TOLERANCE;
 
 mod degenerate;
@@ -33,7 +33,8 @@ mod normal;
 mod search;
 
 use degenerate::{
-    PlaneFit, RotationFit, by_chance, fit_plane, fit_rotation, is_noise, judge_plane, ln_choose, n_before, other_pose,
+    PlanarPose, PlaneFit, RotationFit, by_chance, fit_plane, fit_rotation, is_noise, judge_plane, ln_choose, n_before,
+    other_pose,
 };
 use epipolar::{Fit, Fitting, Matches, Mixture, Pose, sighting};
 use normal::{largest_deviation, lift};
@@ -307,12 +308,31 @@ fn solve_pair(
 const SEARCH_ERROR_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// The largest error of a true match where the caller names none, in units of [`SEARCH_ERROR_RAD`].
 const WIDEST: f64 = 4.0;
+/// Odds of a match without error to be true, before anything is known of noise and share: half of them true, and the noise
+/// a third of what the search allows.
+const SEARCH_ODDS: f64 = 500.0;
+/// Parallax that a scene is taken to have before anything is known.
+const WIDE_PARALLAX: f64 = 0.2;
 /// Noise below this is rounding: two hundredths of an arc second.
 const LEAST_SIGMA_RAD: f64 = 1e-7;
 /// Agreement that would come about by chance more often than this is no consensus.
 const LARGEST_CHANCE: f64 = 0.01;
 /// A rotation or direction less certain than this says nothing.
 const LARGEST_DEVIATION_RAD: f64 = 0.5;
+
+/// A pose with a baseline, before it is known whether there is one.
+struct General {
+    fit: Fit,
+    mixture: Mixture,
+    inlier: Vec<bool>,
+}
+
+impl General {
+    /// Probability that a false match looks true.
+    fn chance(&self) -> f64 {
+        (self.mixture.gate() * self.mixture.chance_density).clamp(1e-6, 0.9)
+    }
+}
 
 /// One pair of views on its way to an answer.
 struct Pair<'a> {
@@ -346,6 +366,7 @@ impl Pair<'_> {
         search::Search {
             arch: pulp::Arch::new(),
             fitting: Fitting { limit: 2.0 * self.search_error(), ..self.fitting() },
+            odds: vec![SEARCH_ODDS; self.matches.len()],
             limit: self.search_error(),
             confidence: self.options.confidence,
             max_iterations: self.options.max_iterations,
@@ -381,7 +402,7 @@ impl Pair<'_> {
     }
 
     /// The pose that explains most matches, if it explains more than chance does and they fix it.
-    fn general(&self, rng: &mut ChaCha8Rng, rotation: Option<&RotationFit>) -> Option<Fit> {
+    fn general(&self, rng: &mut ChaCha8Rng, rotation: Option<&RotationFit>) -> Option<General> {
         let search = self.search();
         let pose = match self.known {
             Some(_) => search.direction(rng, rotation?)?.pose,
@@ -392,37 +413,55 @@ impl Pair<'_> {
             let seen = sighting(&pose, a, b, wide);
             seen.in_front && seen.error.abs() < wide
         });
-        let mixture = Mixture { sigma: self.search_error() / 3.0, share: 0.5, chance_density: chance / wide };
-        let fit = self.fitting().settle(&pose, &mixture, 12);
+        let first_guess = Mixture {
+            sigma: self.search_error() / 3.0,
+            share: 0.5,
+            chance_density: chance / wide,
+            parallax: WIDE_PARALLAX,
+            chance_parallax: self.chance_parallax(&pose),
+        };
+        let (fit, mixture) = self.fitting().settle(&pose, &first_guess, 12);
         let fixed_by = if self.known.is_some() { 2 } else { 5 };
         let inlier: Vec<bool> = fit.weight.iter().map(|w| *w > 0.5).collect();
-        let found = self.is_consensus(&inlier, fixed_by, self.chance_of(&fit.mixture));
-        (found && covariances(&fit, self.known.is_none()).is_some()).then_some(fit)
-    }
-
-    /// Probability that a false match looks true.
-    fn chance_of(&self, mixture: &Mixture) -> f64 {
-        (mixture.gate() * mixture.chance_density).clamp(1e-6, 0.9)
+        let certain = self.covariances(&fit, mixture.sigma).is_some();
+        let found = General { fit, inlier, mixture };
+        (certain && self.is_consensus(&found.inlier, fixed_by, found.chance())).then_some(found)
     }
 
     /// How often wrong matches agree: measured on this input, its bearings paired wrongly on purpose.
     fn chance(&self, agrees: impl Fn(&Vector<3>, &Vector<3>) -> bool) -> f64 {
+        let (mut count, mut all) = (0, 0);
+        for (a, b) in self.wrong_pairings() {
+            all += 1;
+            count += usize::from(agrees(a, b));
+        }
+        (count as f64 + 0.5) / (all as f64 + 1.0)
+    }
+
+    /// Twice the mean parallax of wrong pairings: the largest, if all up to it are as frequent.
+    fn chance_parallax(&self, pose: &Pose) -> f64 {
+        let (mut sum, mut all) = (0.0, 0.0);
+        for (a, b) in self.wrong_pairings() {
+            sum += norm(&sub(&pose.second_from_first.apply(a), b));
+            all += 1.0;
+        }
+        (2.0 * sum / all).max(LEAST_SIGMA_RAD)
+    }
+
+    fn wrong_pairings(&self) -> impl Iterator<Item = (&Vector<3>, &Vector<3>)> {
         let n = self.matches.len();
         let shifts = PAIRINGS.div_ceil(n).min(n - 1);
-        let mut count = 0;
-        for k in 0..shifts {
-            let shift = 1 + k * (n - 1) / shifts;
-            let wrong = (0..n).map(|i| (&self.matches.first[i], &self.matches.second[(i + shift) % n]));
-            count += wrong.filter(|(a, b)| agrees(a, b)).count();
-        }
-        (count as f64 + 0.5) / (shifts * n + 1) as f64
+        (0..shifts).map(move |k| 1 + k * (n - 1) / shifts).flat_map(move |shift| {
+            let second = self.matches.second[shift..].iter().chain(&self.matches.second[..shift]);
+            self.matches.first.iter().zip(second)
+        })
     }
 
     /// Whether so many distinct matches agree that false ones would do so less than [`LARGEST_CHANCE`] times in all samples
     /// of `fixed_by` matches (Moisan and Stival 2004).
     fn is_consensus(&self, inlier: &[bool], fixed_by: usize, chance: f64) -> bool {
         let k = self.n_distinct(inlier);
-        let n = self.matches.len() - (inlier.iter().filter(|&&i| i).count() - k);
+        let n = self.matches.len() - (count(inlier) - k);
         if k < self.options.min_inliers {
             return false;
         }
@@ -441,59 +480,62 @@ impl Pair<'_> {
     }
 
     /// Is a rotation alone as good as the noise lets it be?
-    fn has_no_baseline(&self, fit: &Fit, rotation: &RotationFit) -> bool {
-        let n = self.matches.len();
-        let inlier = |i: usize| fit.weight[i] > 0.5;
-        let extra = (0..n).filter(|&i| inlier(i) && !rotation.explained[i]).count();
-        if extra > by_chance(n - rotation.n_explained, self.chance_of(&fit.mixture)) {
+    fn has_no_baseline(&self, found: &General, rotation: &RotationFit) -> bool {
+        let both: Vec<bool> = found.inlier.iter().zip(&rotation.explained).map(|(a, b)| *a && *b).collect();
+        let extra = count(&found.inlier) - count(&both);
+        if extra > by_chance(self.matches.len() - rotation.n_explained, found.chance()) {
             return false;
         }
-        let (mut one, mut two, mut count) = (0.0, 0.0, 0.0);
-        for i in (0..n).filter(|&i| inlier(i) && rotation.explained[i]) {
-            let (a, b) = (&self.matches.first[i], &self.matches.second[i]);
-            one += sighting(&fit.pose, a, b, 0.0).error.powi(2);
-            two += 0.5 * rotation.squared_chord(a, b);
-            count += 1.0;
-        }
-        let fixed_by = if self.known.is_some() { 2.0 } else { 5.0 };
-        count > fixed_by && is_noise(two - one, count + 2.0, fit.mixture.sigma, count - fixed_by)
+        let matches = self.matches.first.iter().zip(&self.matches.second);
+        let two: f64 =
+            matches.zip(&both).filter(|(_, k)| **k).map(|((a, b), _)| 0.5 * rotation.squared_chord(a, b)).sum();
+        let (n, fixed_by) = (count(&both) as f64, if self.known.is_some() { 2.0 } else { 5.0 });
+        n > fixed_by && is_noise(two - self.squares(found, &both), n + 2.0, found.mixture.sigma, n - fixed_by)
+    }
+
+    /// Sum of the squared errors of some matches.
+    fn squares(&self, found: &General, of: &[bool]) -> f64 {
+        let matches = self.matches.first.iter().zip(&self.matches.second).zip(of);
+        matches.filter(|(_, k)| **k).map(|((a, b), _)| sighting(&found.fit.pose, a, b, 0.0).error.powi(2)).sum()
     }
 
     /// The answer where there is a baseline: general, or planar where one plane explains everything.
-    fn with_baseline(&self, fit: &Fit) -> TwoView {
+    fn with_baseline(&self, found: &General) -> TwoView {
         if self.known.is_none()
-            && let Some(plane) = self.plane(fit)
-            && let Some(view) = self.planar(fit, plane)
+            && let Some(plane) = self.plane(found)
+            && let Some(view) = self.planar(found, &plane)
         {
             return view;
         }
-        let Some((rotation, direction)) = covariances(fit, self.known.is_none()) else { return self.undetermined() };
-        self.view(&fit.pose, TwoViewStatus::General, fit, (rotation, direction))
+        match self.covariances(&found.fit, found.mixture.sigma) {
+            Some(covariance) => view(&found.fit.pose, TwoViewStatus::General, found, covariance),
+            None => self.undetermined(),
+        }
     }
 
     /// The plane that the true matches agree with, if they do.
-    fn plane(&self, fit: &Fit) -> Option<PlaneFit> {
-        let inlier: Vec<bool> = fit.weight.iter().map(|w| *w > 0.5).collect();
-        let (n, sigma) = (self.matches.len(), fit.mixture.sigma);
-        let plane = fit_plane(self.matches, &inlier, &fit.pose, sigma)?;
-        let n_inliers = inlier.iter().filter(|&&k| k).count();
-        if n_inliers - plane.n_explained > by_chance(n - plane.n_explained, self.chance_of(&fit.mixture)) {
+    fn plane(&self, found: &General) -> Option<PlaneFit> {
+        let sigma = found.mixture.sigma;
+        let plane = fit_plane(self.matches, &found.inlier, &found.fit.pose, sigma)?;
+        if count(&found.inlier) - plane.n_explained > by_chance(self.matches.len() - plane.n_explained, found.chance())
+        {
             return None;
         }
-        let explained = (0..n).filter(|&i| plane.explained[i]);
-        let one: f64 = explained
-            .map(|i| sighting(&fit.pose, &self.matches.first[i], &self.matches.second[i], 0.0).error.powi(2))
-            .sum();
-        let count = plane.n_explained as f64;
-        (count > 8.0 && is_noise(plane.squares - one, count - 3.0, sigma, count - 5.0)).then_some(plane)
+        let more = plane.squares - self.squares(found, &plane.explained);
+        let n = plane.n_explained as f64;
+        (n > 8.0 && is_noise(more, n - 3.0, sigma, n - 5.0)).then_some(plane)
     }
 
     /// The better of the two poses that a plane allows; the other is kept where it has as many points in front.
-    fn planar(&self, fit: &Fit, plane: PlaneFit) -> Option<TwoView> {
+    fn planar(&self, found: &General, plane: &PlaneFit) -> Option<TwoView> {
         let mut chosen = plane.planar;
-        let mut alternative = other_pose(&chosen);
+        let ahead = |planar: &PlanarPose| n_before(self.matches, plane, planar);
+        let mut alternative = other_pose(&chosen).map(|other| {
+            let mirrored = other.mirrored();
+            if ahead(&mirrored) > ahead(&other) { mirrored } else { other }
+        });
         if let Some(other) = alternative {
-            let (one, two) = (n_before(self.matches, &plane, &chosen), n_before(self.matches, &plane, &other));
+            let (one, two) = (ahead(&chosen), ahead(&other));
             if two > one {
                 alternative = Some(std::mem::replace(&mut chosen, other));
             }
@@ -502,30 +544,25 @@ impl Pair<'_> {
                 alternative = None;
             }
         }
-        let sigma = fit.mixture.sigma;
+        let sigma = found.mixture.sigma;
         let at = judge_plane(self.matches, &plane.explained, &chosen, sigma);
         let inverse = at.normal.inverse()?;
         let joint = std::array::from_fn(|r| std::array::from_fn(|c| sigma * sigma * inverse[r][c]));
         let covariance = in_first_frame(&joint, &chosen.pose, &at.basis)?;
-        let mut view = self.view(&chosen.pose, TwoViewStatus::Planar, fit, covariance);
+        let mut view = view(&chosen.pose, TwoViewStatus::Planar, found, covariance);
         view.alternative = alternative.map(|other| parts(&other.pose));
         Some(view)
     }
 
-    fn view(&self, pose: &Pose, status: TwoViewStatus, fit: &Fit, covariance: (Matrix<3>, Matrix<3>)) -> TwoView {
-        let (second_from_first, direction) = parts(pose);
-        let inlier: Vec<bool> = fit.weight.iter().map(|w| *w > 0.5).collect();
-        TwoView {
-            second_from_first,
-            direction,
-            n_inliers: inlier.iter().filter(|&&k| k).count(),
-            inlier,
-            status,
-            sigma_rad: fit.mixture.sigma,
-            rotation_covariance: covariance.0,
-            direction_covariance: covariance.1,
-            alternative: None,
-        }
+    /// Covariances of rotation and direction; none where either is open.
+    fn covariances(&self, fit: &Fit, sigma: f64) -> Option<(Matrix<3>, Matrix<3>)> {
+        let inverse = fit.normal.inverse()?;
+        // a rotation that is held has the unit matrix for its normal equations, and no variance
+        let held = |k: usize| self.known.is_some() && k < 3;
+        let joint = std::array::from_fn(|r| {
+            std::array::from_fn(|c| if held(r) || held(c) { 0.0 } else { sigma * sigma * inverse[r][c] })
+        });
+        in_first_frame(&joint, &fit.pose, &fit.basis)
     }
 
     fn pure_rotation(&self, found: &RotationFit) -> TwoView {
@@ -571,15 +608,23 @@ fn parts(pose: &Pose) -> (Rotation<3>, Vector<3>) {
     (pose.second_from_first, normalized(&pose.second_from_first.inverse().apply(&pose.baseline)))
 }
 
-/// Covariances of rotation and direction; none where either is open.
-fn covariances(fit: &Fit, free_rotation: bool) -> Option<(Matrix<3>, Matrix<3>)> {
-    let inverse = fit.normal.inverse()?;
-    let variance = fit.mixture.sigma * fit.mixture.sigma;
-    let held = if free_rotation { variance } else { 0.0 };
-    let joint = std::array::from_fn(|r| {
-        std::array::from_fn(|c| if r < 3 || c < 3 { held * inverse[r][c] } else { variance * inverse[r][c] })
-    });
-    in_first_frame(&joint, &fit.pose, &fit.basis)
+fn view(pose: &Pose, status: TwoViewStatus, found: &General, covariance: (Matrix<3>, Matrix<3>)) -> TwoView {
+    let (second_from_first, direction) = parts(pose);
+    TwoView {
+        second_from_first,
+        direction,
+        inlier: found.inlier.clone(),
+        n_inliers: count(&found.inlier),
+        status,
+        sigma_rad: found.mixture.sigma,
+        rotation_covariance: covariance.0,
+        direction_covariance: covariance.1,
+        alternative: None,
+    }
+}
+
+fn count(of: &[bool]) -> usize {
+    of.iter().filter(|&&k| k).count()
 }
 
 /// Splits a joint covariance of `(phi, alpha)`. The direction is `R^T s`, so that it moves by `R^T (d s - phi x s)`.

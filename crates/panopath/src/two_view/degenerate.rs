@@ -286,6 +286,14 @@ pub fn other_pose(planar: &PlanarPose) -> Option<PlanarPose> {
     })
 }
 
+impl PlanarPose {
+    /// The same homography with the second centre on the other side, and with it all points on the other side of the first.
+    pub fn mirrored(&self) -> Self {
+        let pose = Pose { baseline: scale(-1.0, &self.pose.baseline), ..self.pose };
+        Self { pose, plane: scale(-1.0, &self.plane) }
+    }
+}
+
 /// How many of the explained matches lie on the plane in front of the first camera.
 pub fn n_before(matches: &Matches, fit: &PlaneFit, planar: &PlanarPose) -> usize {
     let ahead = |i: &usize| fit.explained[*i] && dot(&planar.plane, &matches.first[*i]) > 0.0;

@@ -11,7 +11,7 @@
 //! The depths along the two rays, in baselines, have the signs of `s . q - (s . b2) (q . b2)` and
 //! `(s . q) (q . b2) - s . b2`.
 
-use crate::geometry::{Matrix, Rotation, Vector, add, apply, dot, normalized, scale, tangent_basis};
+use crate::geometry::{Matrix, Rotation, Vector, add, apply, dot, norm, normalized, scale, sub, tangent_basis};
 
 use super::five_point::cross;
 use super::normal::Normal;
@@ -178,18 +178,26 @@ impl pulp::WithSimd for Scoring<'_> {
     }
 }
 
-/// True matches have normal errors of deviation `sigma`, false ones are spread evenly: `chance_density` of them a radian
-/// of `|r|`, those that are not in front left out.
+/// How true and false matches differ.
+///
+/// True ones have normal errors of deviation `sigma`, false ones are spread evenly: `chance_density` of them a radian of
+/// `|r|`, those that are not in front left out. True ones also have about the parallax that the scene has, a half-Cauchy
+/// density of median `parallax`, false ones any. Where all points are far that counts: a false match whose rays happen to
+/// meet nearby would turn the baseline to itself by a lever that no true match has.
 #[derive(Clone, Copy, Debug)]
 pub struct Mixture {
     pub sigma: f64,
     /// Share of true matches.
     pub share: f64,
     pub chance_density: f64,
+    /// Median parallax of true matches.
+    pub parallax: f64,
+    /// Largest parallax of false ones, below which all are as frequent.
+    pub chance_parallax: f64,
 }
 
 impl Mixture {
-    /// Density of a true match at `r = 0` over that of a false one.
+    /// Density of a true match of the usual parallax at `r = 0` over that of a false one.
     fn odds(&self) -> f64 {
         let peak = (2.0 / std::f64::consts::PI).sqrt() / self.sigma;
         self.share / (1.0 - self.share) * peak / self.chance_density
@@ -199,38 +207,46 @@ impl Mixture {
     pub fn gate(&self) -> f64 {
         self.sigma * (2.0 * self.odds().ln().max(0.0)).sqrt()
     }
+
+    /// The same density for each match, at the parallax it has.
+    fn odds_of(&self, matches: &Matches, pose: &Pose) -> Vec<f64> {
+        let odds = self.odds() * 2.0 / std::f64::consts::PI * self.chance_parallax * self.parallax;
+        let squared = self.parallax * self.parallax;
+        parallaxes(matches, pose).map(|p| odds / (squared + p * p)).collect()
+    }
 }
 
-/// A mixture made ready for many matches.
-#[derive(Clone, Copy)]
-struct Loss {
-    odds: f64,
-    half_precision: f64,
-    tolerance: f64,
-    squared_limit: f64,
+/// Angles (as chords) between the two rays of each match.
+pub fn parallaxes(matches: &Matches, pose: &Pose) -> impl Iterator<Item = f64> {
+    let turn = pose.second_from_first;
+    matches.first.iter().zip(&matches.second).map(move |(a, b)| norm(&sub(&turn.apply(a), b)))
 }
 
 /// Rays that diverge by up to so many standard deviations of the angle between them are parallel.
 const PARALLEL: f64 = 4.0 * std::f64::consts::SQRT_2;
 
+/// What errors cost at a given noise.
+#[derive(Clone, Copy)]
+struct Loss {
+    half_precision: f64,
+    tolerance: f64,
+    squared_limit: f64,
+}
+
 impl Loss {
-    fn new(mixture: &Mixture, limit: f64) -> Self {
-        Self {
-            odds: mixture.odds(),
-            half_precision: 0.5 / (mixture.sigma * mixture.sigma),
-            tolerance: PARALLEL * mixture.sigma,
-            squared_limit: limit * limit,
-        }
+    fn new(sigma: f64, limit: f64) -> Self {
+        Self { half_precision: 0.5 / (sigma * sigma), tolerance: PARALLEL * sigma, squared_limit: limit * limit }
     }
 
-    /// How sure it is that a match is true, and what it adds to the negative logarithm of the likelihood.
+    /// How sure it is that a match is true, and what it adds to the negative logarithm of the likelihood; `odds` are those
+    /// of being true if the error were zero.
     #[inline(always)]
-    fn weigh(&self, seen: &Sighting) -> (f64, f64) {
+    fn weigh(&self, seen: &Sighting, odds: f64) -> (f64, f64) {
         let squared = seen.error * seen.error;
         if !seen.in_front || squared > self.squared_limit {
             return (0.0, 0.0);
         }
-        let odds = self.odds * (-squared * self.half_precision).exp();
+        let odds = odds * (-squared * self.half_precision).exp();
         (odds / (1.0 + odds), -(1.0 + odds).ln())
     }
 }
@@ -238,7 +254,6 @@ impl Loss {
 /// A pose and how sure each match is.
 pub struct Fit {
     pub pose: Pose,
-    pub mixture: Mixture,
     /// Probability of each match to be a true one.
     pub weight: Vec<f64>,
     /// Normal equations in `(phi, alpha)` at the pose, of weighted matches in units of radians squared.
@@ -261,10 +276,10 @@ pub struct Fitting<'a> {
 
 impl Fitting<'_> {
     /// Cost of a pose and, in `weight`, how sure each match is.
-    fn weigh(&self, pose: &Pose, loss: &Loss, weight: &mut [f64]) -> f64 {
+    fn weigh(&self, pose: &Pose, loss: &Loss, odds: &[f64], weight: &mut [f64]) -> f64 {
         let mut cost = 0.0;
-        for ((a, b), w) in self.matches.first.iter().zip(&self.matches.second).zip(weight) {
-            let (sure, added) = loss.weigh(&sighting(pose, a, b, loss.tolerance));
+        for (((a, b), o), w) in self.matches.first.iter().zip(&self.matches.second).zip(odds).zip(weight) {
+            let (sure, added) = loss.weigh(&sighting(pose, a, b, loss.tolerance), *o);
             *w = sure;
             cost += added;
         }
@@ -286,13 +301,13 @@ impl Fitting<'_> {
         normal
     }
 
-    /// Levenberg and Marquardt's descent with the mixture held, from a pose.
-    pub fn descend(&self, start: &Pose, mixture: &Mixture, max_iterations: usize) -> Fit {
-        let loss = Loss::new(mixture, self.limit);
+    /// Levenberg and Marquardt's descent from a pose, with the noise and the odds of each match to be true held.
+    pub fn descend(&self, start: &Pose, sigma: f64, odds: &[f64], max_iterations: usize) -> Fit {
+        let loss = Loss::new(sigma, self.limit);
         let (mut pose, mut damping) = (*start, 1e-9);
         let mut weight = vec![0.0; self.matches.len()];
         let mut trial = weight.clone();
-        let mut cost = self.weigh(&pose, &loss, &mut weight);
+        let mut cost = self.weigh(&pose, &loss, odds, &mut weight);
         let mut basis = tangent_basis(&pose.baseline);
         let mut normal = self.assemble(&pose, &basis, &weight);
         for _ in 0..max_iterations {
@@ -304,7 +319,7 @@ impl Fitting<'_> {
                 continue;
             };
             let next = pose.moved(&step, &basis);
-            let next_cost = self.weigh(&next, &loss, &mut trial);
+            let next_cost = self.weigh(&next, &loss, odds, &mut trial);
             let size = dot(&step, &step).sqrt();
             if next_cost <= cost {
                 (pose, cost, damping) = (next, next_cost, damping * 0.1);
@@ -314,30 +329,33 @@ impl Fitting<'_> {
             } else {
                 damping = (damping * 100.0).max(1e-4);
             }
-            if size < 1e-3 * mixture.sigma.min(1e-6) || damping > 1e6 {
+            if size < 1e-3 * sigma.min(1e-6) || damping > 1e6 {
                 break;
             }
         }
-        Fit { pose, mixture: *mixture, weight, normal, basis }
+        Fit { pose, weight, normal, basis }
     }
 
     /// Descent and the mixture's own estimate in turn: expectation and maximisation.
-    pub fn settle(&self, start: &Pose, mixture: &Mixture, max_rounds: usize) -> Fit {
-        let mut fit = self.descend(start, mixture, 3);
+    pub fn settle(&self, start: &Pose, first_guess: &Mixture, max_rounds: usize) -> (Fit, Mixture) {
+        let mut mixture = *first_guess;
+        let mut fit = self.descend(start, mixture.sigma, &mixture.odds_of(self.matches, start), 3);
         for _ in 0..max_rounds {
-            let before = fit.mixture.sigma;
-            let Some(mixture) = self.mixture_of(&fit) else { break };
-            let settled = (mixture.sigma - before).abs() < 0.02 * before;
-            fit = self.descend(&fit.pose, &mixture, if settled { 10 } else { 3 });
-            if settled {
+            let Some(next) = self.mixture_of(&fit, &mixture) else { break };
+            let change =
+                (next.sigma / mixture.sigma).ln().abs().max(0.2 * (next.parallax / mixture.parallax).ln().abs());
+            mixture = next;
+            let odds = mixture.odds_of(self.matches, &fit.pose);
+            fit = self.descend(&fit.pose, mixture.sigma, &odds, if change < 0.02 { 10 } else { 3 });
+            if change < 0.02 {
                 break;
             }
         }
-        fit
+        (fit, mixture)
     }
 
-    /// Noise and share of true matches as the errors show them.
-    pub fn mixture_of(&self, fit: &Fit) -> Option<Mixture> {
+    /// Noise, parallax and share of true matches as the errors show them.
+    fn mixture_of(&self, fit: &Fit, before: &Mixture) -> Option<Mixture> {
         let (mut total, mut squares) = (0.0, 0.0);
         for ((a, b), w) in self.matches.first.iter().zip(&self.matches.second).zip(&fit.weight) {
             total += w;
@@ -349,13 +367,23 @@ impl Fitting<'_> {
             return None;
         }
         let n = self.matches.len() as f64;
+        let sigma = (squares / freedom).sqrt().clamp(self.least_sigma, self.limit);
         Some(Mixture {
-            sigma: (squares / freedom).sqrt().clamp(self.least_sigma, self.limit),
+            sigma,
             // one match of them all may always be wrong, or none could be found to be
             share: (total / n).clamp(0.5 / n, 1.0 - 0.5 / n),
-            ..fit.mixture
+            parallax: usual_parallax(self.matches, fit)?.clamp(sigma, before.chance_parallax),
+            ..*before
         })
     }
+}
+
+/// Median of the parallaxes of the matches that are rather true than false.
+fn usual_parallax(matches: &Matches, fit: &Fit) -> Option<f64> {
+    let all = parallaxes(matches, &fit.pose).zip(&fit.weight);
+    let mut of_true: Vec<f64> = all.filter(|(_, w)| **w > 0.5).map(|(p, _)| p).collect();
+    let middle = of_true.len() / 2;
+    (middle > 0).then(|| *of_true.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// The relative poses of an essential matrix `E = [s]x R`, without singular vectors (Horn 1990): two rotations, each with

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale, sub};
 
 use super::degenerate::RotationFit;
-use super::epipolar::{Fitting, Mixture, Pose, Score, poses_of, score, sighting};
+use super::epipolar::{Fitting, Pose, Score, poses_of, score, sighting};
 use super::five_point::{cross, essential_matrices};
 
 /// Samples drawn at least: a sample of true matches may be a poor one.
@@ -22,6 +22,8 @@ const MOST_APART: usize = 250;
 pub struct Search<'a> {
     pub arch: pulp::Arch,
     pub fitting: Fitting<'a>,
+    /// Odds of each match to be true where its error is zero; before anything is known they are all the same.
+    pub odds: Vec<f64>,
     /// Errors up to this agree.
     pub limit: f64,
     pub confidence: f64,
@@ -149,8 +151,7 @@ impl Search<'_> {
 
     /// A few steps of descent over all matches.
     fn improved(&self, pose: &Pose) -> Option<Candidate> {
-        let mixture = Mixture { sigma: self.limit / 3.0, share: 0.5, chance_density: 0.5 };
-        let pose = self.fitting.descend(pose, &mixture, 4).pose;
+        let pose = self.fitting.descend(pose, self.limit / 3.0, &self.odds, 4).pose;
         let score = score(self.arch, self.fitting.matches, &pose, self.limit, f64::INFINITY);
         score.cost.is_finite().then_some(Candidate { pose, score })
     }
