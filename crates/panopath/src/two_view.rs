@@ -404,9 +404,9 @@ impl Pair<'_> {
     /// The pose that explains most matches, if it explains more than chance does and they fix it.
     fn general(&self, rng: &mut ChaCha8Rng, rotation: Option<&RotationFit>) -> Option<General> {
         let search = self.search();
-        let pose = match self.known {
-            Some(_) => search.direction(rng, rotation?)?.pose,
-            None => search.pose(rng, rotation)?.pose,
+        let search::Candidate { pose, limit, .. } = match self.known {
+            Some(_) => search.direction(rng, rotation?)?,
+            None => search.pose(rng, rotation)?,
         };
         let wide = 3.0 * self.search_error();
         let chance = self.chance(|a, b| {
@@ -414,7 +414,7 @@ impl Pair<'_> {
             seen.in_front && seen.error.abs() < wide
         });
         let first_guess = Mixture {
-            sigma: self.search_error() / 3.0,
+            sigma: limit / 3.0,
             share: 0.5,
             chance_density: chance / wide,
             parallax: WIDE_PARALLAX,

@@ -18,6 +18,9 @@ const MOST_ROTATIONS: usize = 100;
 /// Samples drawn at most from the matches that a rotation does not explain: all of them may be false.
 const MOST_APART: usize = 250;
 
+/// A limit is so many standard deviations of the noise.
+const LIMIT_DEVIATIONS: f64 = 4.0;
+
 /// What a search works on.
 pub struct Search<'a> {
     pub arch: pulp::Arch,
@@ -35,36 +38,46 @@ pub struct Search<'a> {
 pub struct Candidate {
     pub pose: Pose,
     pub score: Score,
+    /// Under which it was scored.
+    pub limit: f64,
 }
 
 impl Search<'_> {
     /// Poses from five matches each, and from the best direction for a rotation that is proposed.
     pub fn pose(&self, rng: &mut ChaCha8Rng, proposed: Option<&RotationFit>) -> Option<Candidate> {
         let matches = self.fitting.matches;
-        let mut best = proposed.and_then(|fit| self.direction(rng, fit)).and_then(|c| self.improved(&c.pose));
-        let share = |c: Candidate| c.score.n_inliers as f64 / matches.len() as f64;
+        let samples = |c: &Candidate| self.samples(c.score.n_inliers as f64 / matches.len() as f64, 5);
+        let mut best = proposed.and_then(|fit| self.direction(rng, fit)).and_then(|c| self.improved(&c.pose, c.limit));
+        let mut limit = best.map_or(self.limit, |b| b.limit);
         let mut raw_cost = f64::INFINITY;
-        let (mut drawn, mut needed) = (0, best.map_or(self.max_iterations, |b| self.samples(share(b), 5)));
+        let (mut drawn, mut needed) = (0, best.as_ref().map_or(self.max_iterations, samples));
         while drawn < needed {
             drawn += 1;
             let sample = draw::<5>(rng, matches.len());
             let (first, second) = (sample.map(|i| matches.first[i]), sample.map(|i| matches.second[i]));
-            let mut improved = None;
+            let mut raw = None;
             essential_matrices(&first, &second, |e| {
                 for pose in poses_of(e).iter().flatten().filter(|p| self.all_in_front(p, &first, &second)) {
-                    let score = score(self.arch, matches, pose, self.limit, raw_cost);
+                    let score = score(self.arch, matches, pose, limit, raw_cost);
                     if score.cost < raw_cost {
                         raw_cost = score.cost;
-                        improved = Some(*pose);
+                        raw = Some(*pose);
                     }
                 }
             });
-            if let Some(candidate) = improved.and_then(|pose| self.improved(&pose))
-                && best.is_none_or(|b| candidate.score.cost < b.score.cost)
-            {
+            let Some((pose, candidate)) = raw.and_then(|pose| Some((pose, self.improved(&pose, limit)?))) else {
+                continue;
+            };
+            let score = self.scored(&candidate.pose, limit).score;
+            if best.is_none_or(|b| score.cost < b.score.cost) {
                 best = Some(candidate);
-                needed = self.samples(share(candidate), 5);
+                if candidate.limit < limit {
+                    // scores compare under one limit only
+                    limit = candidate.limit;
+                    raw_cost = self.scored(&pose, limit).score.cost;
+                }
             }
+            needed = best.as_ref().map_or(needed, samples);
         }
         best
     }
@@ -96,7 +109,7 @@ impl Search<'_> {
                 let at_most = best.map_or(f64::INFINITY, |b| b.score.cost);
                 let score = score(self.arch, matches, &pose, self.limit, at_most);
                 if score.cost < at_most {
-                    best = Some(Candidate { pose, score });
+                    best = Some(Candidate { pose, score, limit: self.limit });
                     let agreeing = score.n_inliers.saturating_sub(matches.len() - apart.len());
                     let of_all = self.samples(score.n_inliers as f64 / matches.len() as f64, 2);
                     let of_apart = self.samples(agreeing as f64 / apart.len().max(1) as f64, 2).min(MOST_APART);
@@ -149,11 +162,30 @@ impl Search<'_> {
         best
     }
 
-    /// A few steps of descent over all matches.
-    fn improved(&self, pose: &Pose) -> Option<Candidate> {
-        let pose = self.fitting.descend(pose, self.limit / 3.0, &self.odds, 4).pose;
-        let score = score(self.arch, self.fitting.matches, &pose, self.limit, f64::INFINITY);
-        score.cost.is_finite().then_some(Candidate { pose, score })
+    /// A few steps of descent over all matches, the limit lowered to what the errors of those that agree allow: the fewer
+    /// false matches agree by chance, the less they turn the pose to themselves.
+    fn improved(&self, start: &Pose, limit: f64) -> Option<Candidate> {
+        let mut best = self.scored(start, limit);
+        for _ in 0..3 {
+            let sigma = best.limit / 3.0;
+            let pose = self.fitting.descend(&best.pose, sigma, &self.odds, 4).pose;
+            best = self.scored(&pose, best.limit);
+            let disagreeing = (self.fitting.matches.len() - best.score.n_inliers) as f64;
+            let squares = best.score.cost - disagreeing * best.limit * best.limit;
+            // five of the errors can always be made small
+            let freedom = (best.score.n_inliers as f64 - 5.0).max(1.0);
+            let lower = LIMIT_DEVIATIONS * (squares.max(0.0) / freedom).sqrt();
+            if lower > 0.8 * best.limit {
+                break;
+            }
+            best = self.scored(&pose, lower.max(0.5 * best.limit).max(0.05 * self.limit));
+        }
+        best.score.cost.is_finite().then_some(best)
+    }
+
+    fn scored(&self, pose: &Pose, limit: f64) -> Candidate {
+        let score = score(self.arch, self.fitting.matches, pose, limit, f64::INFINITY);
+        Candidate { pose: *pose, score, limit }
     }
 
     fn all_in_front(&self, pose: &Pose, first: &[Vector<3>; 5], second: &[Vector<3>; 5]) -> bool {
