@@ -8,6 +8,7 @@ followed by its refinement. Its largest error is four times the noise that the b
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -154,14 +155,22 @@ def errors_deg(pair: Pair, pose: Pose | None) -> tuple[float, float]:
 
 def cases() -> Iterator[tuple[str, int, float, float]]:
     for kind in KINDS:
-        for n, noise_deg, outliers in ((50, 0.1, 0.0), (100, 0.1, 0.2), (200, 0.05, 0.5), (200, 0.2, 0.3), (500, 0.1, 0.3)):
+        for n, noise_deg, outliers in (
+            (50, 0.1, 0.0),
+            (100, 0.1, 0.2),
+            (200, 0.05, 0.5),
+            (200, 0.2, 0.3),
+            (500, 0.1, 0.3),
+        ):
             yield kind, n, noise_deg, outliers
 
 
 def synthetic(repeats: int) -> None:
     solvers: dict[str, Solver] = {"panopath": ours, **peers()}
     print(f"medians of {repeats} pairs; lost: more than 5 degrees off, or no answer")
-    print(f"{'pair':15} {'n':>4} {'noise':>5} {'false':>5}  {'solver':18} {'rotation':>9} {'direction':>9} {'lost':>5} {'ms':>7}")
+    print(
+        f"{'pair':15} {'n':>4} {'noise':>5} {'false':>5}  {'solver':18} {'rotation':>9} {'direction':>9} {'lost':>5} {'ms':>7}"
+    )
     for kind, n, noise_deg, outliers in cases():
         noise_rad = float(np.radians(noise_deg))
         pairs = [simulate(kind, n, noise_rad, outliers, seed) for seed in range(repeats)]
@@ -190,15 +199,17 @@ def real() -> None:
         return
     pillow: Any = load("PIL.Image")
     features = []
-    sift = pycolmap.Sift(pycolmap.FeatureExtractionOptions(), pycolmap.Device.cpu)
+    sift = pycolmap.FeatureExtractor.create(pycolmap.FeatureExtractionOptions())
     for path in sorted(folder.glob("*.jpg")):
         image = np.asarray(pillow.open(path).convert("L"))
         keypoints, descriptors = sift.extract(image)
         bearing = bearings_from_equirectangular(keypoints[:, :2].astype(np.float64), image.shape[1], image.shape[0])
         features.append((bearing, descriptors.astype(np.float32)))
     theirs = peers()["pycolmap pose"]
-    print(f"{'pair':8} {'matches':>7} {'status':14} {'true':>5} {'sigma':>6} {'ms':>7} {'pycolmap ms':>11} {'turn':>7} {'direction':>9}")
-    for k, ((a, da), (b, db)) in enumerate(zip(features, features[1:], strict=False)):
+    print(
+        f"{'pair':8} {'matches':>7} {'status':14} {'true':>5} {'sigma':>6} {'ms':>7} {'pycolmap ms':>11} {'turn':>7} {'direction':>9}"
+    )
+    for k, ((a, da), (b, db)) in enumerate(itertools.pairwise(features)):
         i, j = _mutual(da, db)
         pair = Pair(a[i], b[j], np.eye(3), np.array([0.0, 0.0, 1.0]), np.zeros(len(i), dtype=np.bool_))
         start = time.perf_counter()

@@ -130,7 +130,8 @@ sys.path.insert(0, {folder!r})
 import panopath as pp
 from test_two_view import flat
 found = pp.relative_poses(*flat(8))
-print(hashlib.sha256(found.direction.tobytes() + found.rotation_covariance.tobytes() + found.inlier.tobytes()).hexdigest())
+arrays = (found.direction, found.rotation_covariance, found.inlier)
+print(hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
 """
 
 

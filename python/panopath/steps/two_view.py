@@ -203,7 +203,9 @@ def relative_poses(
         raise InputError(f"options is a {type(chosen).__name__}, expected TwoViewOptions")
     start = np.asarray(pair_start)
     if start.ndim != 1 or start.dtype.kind not in "iu" or not len(start):
-        raise InputError(f"pair_start has type {start.dtype} and shape {start.shape}, expected whole numbers (n_pairs + 1,)")
+        raise InputError(
+            f"pair_start has type {start.dtype} and shape {start.shape}, expected whole numbers (n_pairs + 1,)"
+        )
     start = np.array(start, dtype=np.int64)
     known = None
     if second_from_first is not None:
