@@ -33,8 +33,8 @@ mod normal;
 mod search;
 
 use degenerate::{
-    PlanarPose, PlaneFit, RotationFit, by_chance, fit_plane, fit_rotation, is_noise, judge_plane, ln_choose, n_before,
-    other_pose,
+    BASELINE_DEVIATIONS, PlanarPose, PlaneFit, RELIEF_DEVIATIONS, RotationFit, by_chance, fit_plane, fit_rotation,
+    is_noise, judge_plane, ln_choose, n_before, other_pose,
 };
 use epipolar::{Fit, Fitting, Matches, Mixture, Pose, sighting};
 use normal::{largest_deviation, lift};
@@ -490,7 +490,14 @@ impl Pair<'_> {
         let two: f64 =
             matches.zip(&both).filter(|(_, k)| **k).map(|((a, b), _)| 0.5 * rotation.squared_chord(a, b)).sum();
         let (n, fixed_by) = (count(&both) as f64, if self.known.is_some() { 2.0 } else { 5.0 });
-        n > fixed_by && is_noise(two - self.squares(found, &both), n + 2.0, found.mixture.sigma, n - fixed_by)
+        n > fixed_by
+            && is_noise(
+                two - self.squares(found, &both),
+                n + 2.0,
+                found.mixture.sigma,
+                n - fixed_by,
+                BASELINE_DEVIATIONS,
+            )
     }
 
     /// Sum of the squared errors of some matches.
@@ -523,7 +530,7 @@ impl Pair<'_> {
         }
         let more = plane.squares - self.squares(found, &plane.explained);
         let n = plane.n_explained as f64;
-        (n > 8.0 && is_noise(more, n - 3.0, sigma, n - 5.0)).then_some(plane)
+        (n > 8.0 && is_noise(more, n - 3.0, sigma, n - 5.0, RELIEF_DEVIATIONS)).then_some(plane)
     }
 
     /// The better of the two poses that a plane allows; the other is kept where it has as many points in front.

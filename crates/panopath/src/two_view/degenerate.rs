@@ -18,9 +18,12 @@ const GATE: f64 = 4.0;
 /// Agreement that would come about by chance less often than this is no chance.
 const SURPRISE: f64 = 0.01;
 
-/// The direction of a baseline that is not there is the best of a whole sphere for the noise at hand, and makes the noise
-/// look small: over views without a baseline the ratio exceeds this many of its standard deviations once in a hundred.
-const RATIO_DEVIATIONS: f64 = 7.0;
+/// How far above the noise a ratio may be, in its standard deviations, where a baseline is in question. The direction of
+/// one that is not there is the best of a whole sphere for the noise at hand, and makes the noise look small: over views
+/// without a baseline the ratio exceeds this once in a hundred.
+pub const BASELINE_DEVIATIONS: f64 = 7.0;
+/// The same where a second plane is in question.
+pub const RELIEF_DEVIATIONS: f64 = 4.0;
 
 /// A rotation without a baseline.
 pub struct RotationFit {
@@ -46,8 +49,8 @@ impl RotationFit {
     }
 }
 
-/// Fits a rotation to the matches within the noise of it, `sigma` at first and `within` two bounds later, or only the noise where it is `known`: Gauss-Newton, the
-/// noise and the matches in turn.
+/// Fits a rotation to the matches within the noise of it, or only the noise where it is `known`: Gauss-Newton, the noise and
+/// the matches in turn. The noise is `sigma` at first, and `within` two bounds later.
 pub fn fit_rotation(
     matches: &Matches,
     start: &Rotation<3>,
@@ -301,10 +304,10 @@ pub fn n_before(matches: &Matches, fit: &PlaneFit, planar: &PlanarPose) -> usize
 }
 
 /// Whether a sum of squares over `more` further degrees of freedom is what the noise makes of them: not above their number
-/// by [`RATIO_DEVIATIONS`] of the ratio to the noise, itself known from `known` degrees of freedom.
-pub fn is_noise(squares: f64, more: f64, sigma: f64, known: f64) -> bool {
+/// by so many `deviations` of the ratio to the noise, itself known from `known` degrees of freedom.
+pub fn is_noise(squares: f64, more: f64, sigma: f64, known: f64, deviations: f64) -> bool {
     let ratio = squares / (more * sigma * sigma);
-    ratio < 1.0 + RATIO_DEVIATIONS * (2.0 / more + 2.0 / known).sqrt()
+    ratio < 1.0 + deviations * (2.0 / more + 2.0 / known).sqrt()
 }
 
 /// The number of matches, out of `n` false ones, that the best direction of a baseline agrees with by chance: two fix it,
