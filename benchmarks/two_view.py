@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.two_view [--repeats N] [--real]``. The peer is given EQUIRECTANGULAR cameras of 3600 x 1800
 pixels, so ten pixels a degree at the equator, and is called in two ways: the two-view geometry that its mapper uses,
-and its relative pose followed by its refinement. Its largest error is four times the noise that the bearings really have;
-panopath is not told.
+and its relative pose followed by its refinement. Its largest error is four times the noise that the bearings really
+have; panopath is not told.
 """
 
 from __future__ import annotations
