@@ -26,6 +26,7 @@ __all__ = [
     "read_numbers",
     "read_table",
     "refine",
+    "relative_poses",
     "scene_covariance",
     "simulate",
     "solve_positions",
@@ -94,6 +95,13 @@ def position_covariance(
     points: npt.NDArray[np.float64],
     inlier: npt.NDArray[np.bool_] | None,
 ) -> npt.NDArray[np.float64]: ...
+def relative_poses(
+    pair_start: npt.NDArray[np.int64],
+    first: npt.NDArray[np.float64],
+    second: npt.NDArray[np.float64],
+    second_from_first: npt.NDArray[np.float64] | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None
 

@@ -7,6 +7,7 @@ mod refinement;
 mod sphere;
 mod synthetic;
 mod table;
+mod two_view;
 mod view_graph;
 
 #[pymodule]
@@ -17,5 +18,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)?;
-    view_graph::register(module)
+    view_graph::register(module)?;
+    two_view::register(module)
 }

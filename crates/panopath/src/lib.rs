@@ -20,6 +20,7 @@ pub mod sphere;
 pub mod structure;
 pub mod synthetic;
 pub mod tracks;
+pub mod two_view;
 pub mod view_graph;
 
 pub use geometry::{Rotation, Similarity};

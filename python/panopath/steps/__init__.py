@@ -2,5 +2,23 @@
 
 from panopath.steps.positions import position_covariance, solve_positions
 from panopath.steps.refinement import RefineOptions, SceneCovariance, refine, scene_covariance
+from panopath.steps.two_view import TwoView, TwoViewOptions, TwoViews, TwoViewStatus, relative_pose, relative_poses
+from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
-__all__ = ["RefineOptions", "SceneCovariance", "position_covariance", "refine", "scene_covariance", "solve_positions"]
+__all__ = [
+    "RefineOptions",
+    "SceneCovariance",
+    "TwoView",
+    "TwoViewOptions",
+    "TwoViewStatus",
+    "TwoViews",
+    "ViewGraphOptions",
+    "ViewPairs",
+    "position_covariance",
+    "refine",
+    "relative_pose",
+    "relative_poses",
+    "scene_covariance",
+    "solve_positions",
+    "view_pairs",
+]
