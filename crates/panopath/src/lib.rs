@@ -13,6 +13,7 @@
 
 pub mod geometry;
 pub mod least_squares;
+pub mod orientation;
 pub mod positions;
 pub mod sphere;
 pub mod synthetic;
