@@ -23,7 +23,16 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.steps import position_covariance, solve_positions
+from panopath.steps import (
+    GravityPriors,
+    HeadingPriors,
+    OrientationOptions,
+    OrientationPriors,
+    Orientations,
+    average_rotations,
+    position_covariance,
+    solve_positions,
+)
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
@@ -31,8 +40,13 @@ __version__ = _core.__version__
 __all__ = [
     "Control",
     "Evaluation",
+    "GravityPriors",
+    "HeadingPriors",
     "InputError",
     "MissingExtraError",
+    "OrientationOptions",
+    "OrientationPriors",
+    "Orientations",
     "PanopathError",
     "PositionOptions",
     "Problem",
@@ -42,6 +56,7 @@ __all__ = [
     "SyntheticWorld",
     "Tracks",
     "__version__",
+    "average_rotations",
     "evaluate",
     "position_covariance",
     "read_control",

@@ -44,11 +44,13 @@ pub(super) struct Average<T, const K: usize> {
 /// Rounds of the L1-like weights (Chatterjee and Govindu 2013 begin with L1 too: it needs no good start).
 const L1_ROUNDS: usize = 5;
 /// Widths of the Geman-McClure weights in standard deviations, one a round; the last is kept.
-const WIDTHS: [f64; 3] = [6.0, 4.0, 3.0];
+const WIDTHS: [f64; 3] = [8.0, 6.0, 4.0];
 /// Weights are kept above this, or what hangs by outliers alone would make the matrix singular.
 const LEAST_WEIGHT: f64 = 1e-8;
 /// Rounds of choosing inliers and fitting them.
 const MASK_ROUNDS: usize = 8;
+/// How much wider the first choice of inliers is.
+const SECOND_CHANCE: f64 = 1.6;
 /// Steps shorter than this end a least-squares fit, radians.
 const LAST_STEP: f64 = 1e-11;
 /// Noise is estimated within these bounds: relative to sigma below, in radians above (10 degrees).
@@ -255,8 +257,9 @@ impl<T: Turn<K>, const K: usize> State<'_, T, K> {
         let mut inlier = Vec::new();
         let mut parts = Parts { part: Vec::new(), priors: Vec::new() };
         let mut converged = true;
-        for _ in 0..MASK_ROUNDS {
-            let limit = cut(K) * self.noise;
+        for round in 0..MASK_ROUNDS {
+            // an edge that re-weighting left aside gets the chance to pull: without it, its residual is larger
+            let limit = cut(K) * self.noise * if round == 0 { SECOND_CHANCE } else { 1.0 };
             let mut agree: Vec<bool> = self.ratio.iter().zip(&banned).map(|(r, b)| *r <= limit && !b).collect();
             for edge in self.graph().contested_bridges(&agree) {
                 (agree[edge], banned[edge]) = (false, true);

@@ -71,6 +71,16 @@ impl Graph {
         (0..self.n_views() as u32).map(|view| find(&mut root, view)).collect()
     }
 
+    /// Block of each view, named by its lowest view: what no single kept edge can part.
+    pub fn blocks(&self, keep: &[bool]) -> Vec<u32> {
+        let block = BlockTree::new(self, keep).block;
+        let mut lowest = vec![u32::MAX; block.len()];
+        for (view, &b) in block.iter().enumerate() {
+            lowest[b as usize] = lowest[b as usize].min(view as u32);
+        }
+        block.iter().map(|&b| lowest[b as usize]).collect()
+    }
+
     /// Kept bridges between two blocks of at least three views that a rejected edge contradicts.
     ///
     /// A bridge closes no loop, so that its residual says nothing. One that a rejected edge spans too stands word against

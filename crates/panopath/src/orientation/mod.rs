@@ -381,6 +381,12 @@ fn frame(found: &mut Average<Quaternion, 3>, held: &[Held]) {
     for (own, part) in found.cam_from_world.iter_mut().zip(&found.part) {
         *own = own.compose(&turn[*part as usize]);
     }
+    for (view, own) in found.cam_from_world.iter_mut().enumerate() {
+        if found.part[view] as usize == view && !held[view].vertical {
+            // to the last digit
+            *own = Quaternion::identity();
+        }
+    }
 }
 
 /// The rotation as the caller's dimension holds it; NaN where it is not determined.

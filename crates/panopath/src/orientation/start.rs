@@ -8,7 +8,7 @@ use std::collections::BinaryHeap;
 
 use rayon::prelude::*;
 
-use crate::geometry::{Vector, add, norm, scale};
+use crate::geometry::{Vector, add, scale};
 
 use super::graph::{Graph, Neighbour};
 use super::turns::Turn;
@@ -112,9 +112,9 @@ fn trust<T: Turn<K>, const K: usize>(edges: &Edges<'_, T>, noise: f64) -> Vec<u3
         .collect()
 }
 
-/// Where one placed neighbour says that a view looks.
+/// Where one edge from what is placed says that a cluster must be turned.
 struct Opinion<T> {
-    cam_from_world: T,
+    turn: T,
     /// Squared cosine of half the angle within which another opinion agrees.
     agreement: f64,
     trust: u32,
@@ -122,61 +122,124 @@ struct Opinion<T> {
     support: u32,
 }
 
-/// Grows orientations over the graph; each part of it starts from the identity. `noise` is relative to sigma.
+/// Opinions kept about one cluster; later ones only support these.
+const OPINIONS: usize = 256;
+/// Most rounds of growth, each over the clusters that the last one left.
+const GROWTHS: usize = 20;
+
+/// Orientations grown over the graph; each part of it starts from the identity. `noise` is relative to sigma.
+///
+/// Where consensus is thin, growth crosses a wrong edge now and then, and what lies behind it agrees with itself only. Such
+/// regions are the blocks that no single edge holds together: they are grown again, as wholes.
 pub(super) fn grow<T: Turn<K>, const K: usize>(edges: &Edges<'_, T>, noise: f64) -> Vec<T> {
-    let graph = edges.graph;
-    let n = graph.n_views();
+    let n = edges.graph.n_views();
     let trust = trust(edges, noise);
-    let mut seeds: Vec<(u32, u32)> =
-        (0..n).map(|view| (graph.neighbours(view).iter().map(|e| trust[e.edge as usize]).sum(), view as u32)).collect();
-    seeds.sort_unstable_by_key(|&(total, view)| (std::cmp::Reverse(total), view));
     let mut found = vec![T::identity(); n];
-    let mut placed = vec![false; n];
-    let mut opinions: Vec<Vec<Opinion<T>>> = (0..n).map(|_| Vec::new()).collect();
-    let mut queue: BinaryHeap<(u32, std::cmp::Reverse<u32>)> = BinaryHeap::new();
-    for (_, seed) in seeds {
-        if placed[seed as usize] {
-            continue;
+    let mut cluster: Vec<u32> = (0..n as u32).collect();
+    let n_parts = n_groups(&edges.graph.parts(&vec![true; edges.graph.n_edges()]));
+    let (mut n_clusters, mut idle) = (n, 0);
+    for round in 0..GROWTHS {
+        if n_clusters == n_parts || idle == 2 {
+            break;
         }
-        queue.push((0, std::cmp::Reverse(seed)));
-        while let Some((_, std::cmp::Reverse(view))) = queue.pop() {
-            let view = view as usize;
-            if placed[view] {
-                continue;
-            }
-            placed[view] = true;
-            if let Some(agreed) = consensus(&std::mem::take(&mut opinions[view])) {
-                found[view] = agreed;
-            }
-            for neighbour in graph.neighbours(view).iter().filter(|e| !placed[e.view as usize]) {
-                let edge = neighbour.edge as usize;
-                let within = (AGREEMENT * noise * edges.sigma[edge] * std::f64::consts::SQRT_2).min(WIDEST_AGREEMENT);
-                let opinion = Opinion {
-                    cam_from_world: edges.neighbour_from(neighbour).compose(&found[view]),
-                    agreement: (0.5 * within).cos().powi(2),
-                    trust: trust[edge],
-                    support: trust[edge],
-                };
-                let support = hear(&mut opinions[neighbour.view as usize], opinion);
-                queue.push((support, std::cmp::Reverse(neighbour.view)));
-            }
-        }
+        // what lies between two clusters has drifted apart by more than one edge's noise
+        let noise = noise * (1.0 + 0.5 * round.min(4) as f64);
+        grow_clusters(edges, noise, &trust, &cluster, &mut found);
+        let agrees: Vec<bool> = (0..edges.graph.n_edges())
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|edge| {
+                let (a, b) = edges.graph.ends(edge);
+                trust[edge] > 0
+                    && edges.relative[edge].compose(&found[a]).closeness(&found[b]) >= agreement(edges, edge, noise)
+            })
+            .collect();
+        cluster = edges.graph.blocks(&agrees);
+        let left = n_groups(&cluster);
+        idle = if left < n_clusters { 0 } else { idle + 1 };
+        n_clusters = left;
     }
     found
 }
 
-/// Adds an opinion to the others about a view; the best support now.
+/// Number of groups named by their lowest member.
+fn n_groups(group: &[u32]) -> usize {
+    group.iter().enumerate().filter(|(view, g)| *view == **g as usize).count()
+}
+
+/// Squared cosine of half the angle within which what an edge says agrees with something else.
+fn agreement<T>(edges: &Edges<'_, T>, edge: usize, noise: f64) -> f64 {
+    let within = (AGREEMENT * noise * edges.sigma[edge] * std::f64::consts::SQRT_2).min(WIDEST_AGREEMENT);
+    (0.5 * within).cos().powi(2)
+}
+
+/// One growth: the clusters, named by their lowest views, are turned as wholes.
+fn grow_clusters<T: Turn<K>, const K: usize>(
+    edges: &Edges<'_, T>,
+    noise: f64,
+    trust: &[u32],
+    cluster: &[u32],
+    found: &mut [T],
+) {
+    let graph = edges.graph;
+    let n = graph.n_views();
+    let mut members: Vec<Vec<u32>> = vec![Vec::new(); n];
+    let mut weight = vec![0u64; n];
+    for (view, &c) in cluster.iter().enumerate() {
+        members[c as usize].push(view as u32);
+        weight[c as usize] += graph.neighbours(view).iter().map(|e| u64::from(trust[e.edge as usize])).sum::<u64>();
+    }
+    let mut seeds: Vec<u32> = (0..n as u32).filter(|&c| !members[c as usize].is_empty()).collect();
+    seeds.sort_by_key(|&c| std::cmp::Reverse(weight[c as usize]));
+    let mut placed = vec![false; n];
+    let mut opinions: Vec<Vec<Opinion<T>>> = (0..n).map(|_| Vec::new()).collect();
+    let mut queue: BinaryHeap<(u32, std::cmp::Reverse<u32>)> = BinaryHeap::new();
+    for seed in seeds {
+        queue.push((0, std::cmp::Reverse(seed)));
+        while let Some((_, std::cmp::Reverse(next))) = queue.pop() {
+            if std::mem::replace(&mut placed[next as usize], true) {
+                continue;
+            }
+            let turn = consensus(&std::mem::take(&mut opinions[next as usize]));
+            for &view in &members[next as usize] {
+                if let Some(turn) = &turn {
+                    found[view as usize] = found[view as usize].compose(turn);
+                }
+            }
+            for &view in &members[next as usize] {
+                for n in graph.neighbours(view as usize) {
+                    let (edge, other) = (n.edge as usize, cluster[n.view as usize]);
+                    if placed[other as usize] {
+                        continue;
+                    }
+                    let expected = edges.neighbour_from(n).compose(&found[view as usize]);
+                    let opinion = Opinion {
+                        turn: found[n.view as usize].inverse().compose(&expected),
+                        agreement: agreement(edges, edge, noise),
+                        trust: trust[edge],
+                        support: trust[edge],
+                    };
+                    queue.push((hear(&mut opinions[other as usize], opinion), std::cmp::Reverse(other)));
+                }
+            }
+        }
+    }
+}
+
+/// Adds an opinion to the others about a cluster; the best support now.
 fn hear<T: Turn<K>, const K: usize>(others: &mut Vec<Opinion<T>>, mut new: Opinion<T>) -> u32 {
     let mut best = 0;
     for other in others.iter_mut() {
-        if other.cam_from_world.closeness(&new.cam_from_world) >= other.agreement.min(new.agreement) {
+        if other.turn.closeness(&new.turn) >= other.agreement.min(new.agreement) {
             other.support += new.trust;
             new.support += other.trust;
         }
         best = best.max(other.support);
     }
     best = best.max(new.support);
-    others.push(new);
+    if others.len() < OPINIONS {
+        others.push(new);
+    }
     best
 }
 
@@ -184,19 +247,12 @@ fn hear<T: Turn<K>, const K: usize>(others: &mut Vec<Opinion<T>>, mut new: Opini
 fn consensus<T: Turn<K>, const K: usize>(opinions: &[Opinion<T>]) -> Option<T> {
     let best = opinions.iter().reduce(|a, b| if b.support > a.support { b } else { a })?;
     let (mut sum, mut total): (Vector<K>, f64) = ([0.0; K], 0.0);
-    for other in opinions {
-        if other.trust > 0
-            && other.cam_from_world.closeness(&best.cam_from_world) >= other.agreement.min(best.agreement)
-        {
-            let off = best.cam_from_world.inverse().compose(&other.cam_from_world).log();
-            debug_assert!(norm(&off).is_finite());
+    for other in opinions.iter().filter(|o| o.trust > 0) {
+        if other.turn.closeness(&best.turn) >= other.agreement.min(best.agreement) {
+            let off = best.turn.inverse().compose(&other.turn).log();
             sum = add(&sum, &scale(f64::from(other.trust), &off));
             total += f64::from(other.trust);
         }
     }
-    Some(if total > 0.0 {
-        best.cam_from_world.compose(&T::exp(&scale(1.0 / total, &sum)))
-    } else {
-        best.cam_from_world
-    })
+    Some(if total > 0.0 { best.turn.compose(&T::exp(&scale(1.0 / total, &sum))) } else { best.turn })
 }
