@@ -1,7 +1,7 @@
-//! From nothing to orientations good enough to re-weight from: votes of triangles, then growth by consensus.
+//! From nothing to orientations good enough to re-weight from: votes of small loops, then growth by consensus.
 //!
-//! A true edge closes its triangles, `third_from_first = third_from_second * second_from_first`; a wrong one almost never
-//! does. Views are then placed one at a time, always the one whose placed neighbours agree most about where it looks: a
+//! A true edge closes its triangles, `third_from_first = third_from_second * second_from_first`, and its quadrangles; a
+//! wrong one almost never does. Views are then placed one at a time, always the one whose placed neighbours agree most about where it looks: a
 //! spanning tree that sees loops of every length as it grows (after Govindu 2006, who draws trees at random).
 
 use std::collections::BinaryHeap;
@@ -13,8 +13,12 @@ use crate::geometry::{Vector, add, scale};
 use super::graph::{Graph, Neighbour};
 use super::turns::Turn;
 
-/// Triangles looked at for each edge.
-const TRIANGLES: usize = 8;
+/// Loops of one kind looked at for each edge.
+const LOOPS: usize = 8;
+/// An edge none of whose loops closes is doubted from this many on.
+const LOOPS_TO_DOUBT: usize = 5;
+/// Pairs of neighbours tried as sides of loops of four.
+const QUADRANGLES_TRIED: usize = 64;
 /// Two estimates of one rotation agree where they are nearer than this many standard deviations of their difference.
 const AGREEMENT: f64 = 4.0;
 /// No two estimates farther apart than this agree, whatever the noise: 15 degrees.
@@ -82,8 +86,7 @@ fn for_triangles<T: Turn<K>, const K: usize>(
             let (third_from_a, third_from_b) = (edges.neighbour_from(l), edges.neighbour_from(r));
             let around = third_from_b.compose(&edges.relative[edge]);
             let sigma = [edge, l.edge as usize, r.edge as usize].iter().map(|&e| edges.sigma[e].powi(2)).sum::<f64>();
-            let closure = 2.0 * third_from_a.closeness(&around).min(1.0).sqrt().acos();
-            visit(closure, sigma.sqrt());
+            visit(closure(&third_from_a, &around), sigma.sqrt());
             seen += 1;
             if seen == most {
                 return;
@@ -94,20 +97,50 @@ fn for_triangles<T: Turn<K>, const K: usize>(
     }
 }
 
-/// Trust in each edge: 0 where its triangles fail, 1 where there are none, more for each that closes.
+/// Calls `visit(closure error, its sigma)` for up to [`LOOPS`] loops of four over an edge, as in grids.
+fn for_quadrangles<T: Turn<K>, const K: usize>(edges: &Edges<'_, T>, edge: usize, mut visit: impl FnMut(f64, f64)) {
+    let graph = edges.graph;
+    let (a, b) = graph.ends(edge);
+    let (left, right) = (graph.neighbours(a), graph.neighbours(b));
+    let sides = left.iter().flat_map(|l| right.iter().map(move |r| (l, r)));
+    let mut seen = 0;
+    for (l, r) in sides.filter(|(l, r)| l.view as usize != b && r.view as usize != a).take(QUADRANGLES_TRIED) {
+        let beyond = graph.neighbours(l.view as usize);
+        let Ok(k) = beyond.binary_search_by_key(&r.view, |n| n.view) else { continue };
+        let over_a = edges.neighbour_from(&beyond[k]).compose(&edges.neighbour_from(l));
+        let over_b = edges.neighbour_from(r).compose(&edges.relative[edge]);
+        let around = [edge, l.edge as usize, r.edge as usize, beyond[k].edge as usize];
+        visit(closure(&over_a, &over_b), around.iter().map(|&e| edges.sigma[e].powi(2)).sum::<f64>().sqrt());
+        seen += 1;
+        if seen == LOOPS {
+            return;
+        }
+    }
+}
+
+fn closure<T: Turn<K>, const K: usize>(one_way: &T, other_way: &T) -> f64 {
+    2.0 * one_way.closeness(other_way).min(1.0).sqrt().acos()
+}
+
+/// Trust in each edge: little without loops, more for each that closes, none where many fail and none closes.
 fn trust<T: Turn<K>, const K: usize>(edges: &Edges<'_, T>, noise: f64) -> Vec<u32> {
     (0..edges.graph.n_edges())
         .into_par_iter()
         .map(|edge| {
-            if !edges.credible[edge] {
-                return 0;
-            }
             let (mut closed, mut seen) = (0, 0);
-            for_triangles(edges, edge, TRIANGLES, |closure, sigma| {
+            let closes = |closure: f64, sigma: f64| closure < (AGREEMENT * noise * sigma).min(WIDEST_AGREEMENT);
+            for_triangles(edges, edge, LOOPS, |closure, sigma| {
                 seen += 1;
-                closed += u32::from(closure < (AGREEMENT * noise * sigma).min(WIDEST_AGREEMENT));
+                closed += u32::from(closes(closure, sigma));
             });
-            if seen > 0 && closed == 0 { 0 } else { 1 + closed }
+            if closed == 0 {
+                for_quadrangles(edges, edge, |closure, sigma| {
+                    seen += 1;
+                    closed += u32::from(closes(closure, sigma));
+                });
+            }
+            let doubtful = !edges.credible[edge] || (closed == 0 && seen >= LOOPS_TO_DOUBT);
+            if doubtful { 0 } else { 1 + 2 * closed }
         })
         .collect()
 }
