@@ -254,29 +254,39 @@ impl<T: Turn<K>, const K: usize> State<'_, T, K> {
     /// Least squares over the edges that agree, until the choice of edges rests.
     fn refit(mut self) -> Result<Average<T, K>, LeastSquaresError> {
         let mut banned = vec![false; self.graph().n_edges()];
-        let mut inlier = Vec::new();
-        let mut parts = Parts { part: Vec::new(), priors: Vec::new() };
+        let mut chosen: Option<(Vec<bool>, Parts<T, K>)> = None;
         let mut converged = true;
         for round in 0..MASK_ROUNDS {
-            // an edge that re-weighting left aside gets the chance to pull: without it, its residual is larger
-            let limit = cut(K) * self.noise * if round == 0 { SECOND_CHANCE } else { 1.0 };
-            let mut agree: Vec<bool> = self.ratio.iter().zip(&banned).map(|(r, b)| *r <= limit && !b).collect();
-            for edge in self.graph().contested_bridges(&agree) {
-                (agree[edge], banned[edge]) = (false, true);
-            }
-            if agree == inlier {
+            let inlier = self.agreeing(round, &mut banned);
+            if chosen.as_ref().is_some_and(|(before, _)| *before == inlier) {
                 break;
             }
-            inlier = agree;
-            let before = std::mem::replace(&mut parts, Parts::new(self.problem, &inlier));
-            if before.part != parts.part {
+            let parts = Parts::new(self.problem, &inlier);
+            if chosen.as_ref().is_none_or(|(_, before)| before.part != parts.part) {
                 self.align(&parts);
                 self.measure();
             }
             converged = self.least_squares(&inlier, &parts)?;
             self.judge_noise(cut(K), &parts.part);
+            chosen = Some((inlier, parts));
         }
+        let (inlier, parts) = chosen.unwrap_or_else(|| {
+            let none = vec![false; self.graph().n_edges()];
+            let alone = Parts::new(self.problem, &none);
+            (none, alone)
+        });
         self.finish(inlier, parts, converged)
+    }
+
+    /// Edges within the limit for outliers, but for bridges that are contested: those are banned for good.
+    fn agreeing(&self, round: usize, banned: &mut [bool]) -> Vec<bool> {
+        // an edge that re-weighting left aside gets the chance to pull: without it, its residual is larger
+        let limit = cut(K) * self.noise * if round == 0 { SECOND_CHANCE } else { 1.0 };
+        let mut agree: Vec<bool> = self.ratio.iter().zip(&*banned).map(|(r, b)| *r <= limit && !b).collect();
+        for edge in self.graph().contested_bridges(&agree) {
+            (agree[edge], banned[edge]) = (false, true);
+        }
+        agree
     }
 
     fn weights(&self, inlier: &[bool]) -> Vec<f64> {
