@@ -1,4 +1,4 @@
-"""Rotation averaging against COLMAP's, on graphs of known truth: ``python -m benchmarks.orientations [--sizes 100 1000]``.
+"""Rotation averaging against COLMAP's, on graphs of known truth: ``python -m benchmarks.orientations``.
 
 A path of views, each joined to its neighbours along it, and bundles of loop closures between far places. Relative
 rotations are noisy, and a share of them is wrong altogether. Errors are angles to the true orientation after the one
@@ -72,7 +72,7 @@ def view_graph(
     first, second = pairs.T
     exact = truth[second] @ truth[first].transpose(0, 2, 1)
     measured = _exp(np.deg2rad(noise_deg) * rng.normal(size=(len(pairs), 3))) @ exact
-    is_wrong = rng.random(len(pairs)) < wrong
+    is_wrong: Bool = np.asarray(rng.random(len(pairs)) < wrong)
     measured[is_wrong] = _rotations(rng.normal(size=(int(is_wrong.sum()), 4)))
     name = f"{kind} {n_views:,}, {len(pairs):,} edges, {wrong:.0%} wrong"
     return ViewGraph(name, first.astype(np.int32), second.astype(np.int32), measured, is_wrong, truth)
@@ -135,7 +135,7 @@ def _exp(phi: Float) -> Float:
 def errors_deg(found: Float, truth: Float) -> Float:
     """Angle of each orientation to the truth, after the rotation of the world that fits best."""
     apart = found.transpose(0, 2, 1) @ truth
-    keep = np.isfinite(apart).all(axis=(1, 2))
+    keep: Bool = np.asarray(np.isfinite(apart).all(axis=(1, 2)))
     turn = apart[keep][0]
     for _ in range(20):
         weight = 1.0 / np.maximum(_angle(turn.T @ apart[keep]), 1e-3)

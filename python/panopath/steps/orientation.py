@@ -90,10 +90,10 @@ class OrientationOptions:
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """Orientations of views, and what became of the edges. Views that are not determined are NaN; arrays are read-only."""
+    """Orientations of views, and what became of the edges. Views not determined are NaN; the arrays are read-only."""
 
-    #: (n_views, 3, 3) rotations, or (n_views,) headings in radians in the plane. The first view of a part without priors
-    #: has the identity; in one with gravity alone it is as near the identity as the vertical lets it.
+    #: (n_views, 3, 3) rotations, or (n_views,) headings in radians in the plane. The first view of a part without
+    #: priors has the identity; in one with gravity alone it is as near the identity as the vertical lets it.
     cam_from_world: Float
     #: (n_views,) int32, the part each view belongs to, 0 the largest, -1 = none.
     view_component: Int
@@ -106,8 +106,8 @@ class Orientations:
     iterations: int
     #: Noise about each axis of an edge of median sigma, from the inliers' loops; NaN without loops.
     sigma_rad: float
-    #: (n_views, 3, 3) covariance of the small rotation on the left of each view, against the frame of its part, or None.
-    #: In the plane the entry [2, 2] alone counts.
+    #: (n_views, 3, 3) covariance of the small rotation on the left of each view, against the frame of its part; None
+    #: unless asked for. In the plane the entry [2, 2] alone counts.
     covariance_rad2: Float | None = None
 
     @property
@@ -149,8 +149,8 @@ def average_rotations(
         Standard deviation of the relative rotations about each axis in radians, one or (n_edges,). None: unknown, the
         same for all; it is then found from the loops.
     priors
-        What is known of single views: :class:`OrientationPriors`, :class:`GravityPriors`, :class:`HeadingPriors`. They are
-        weighed by their sigmas and not searched for wrong ones.
+        What is known of single views: :class:`OrientationPriors`, :class:`GravityPriors`, :class:`HeadingPriors`. They
+        are weighed by their sigmas and not searched for wrong ones.
     options
         Choices; default ``OrientationOptions()``.
 
@@ -166,9 +166,10 @@ def average_rotations(
 
     Notes
     -----
-    Votes of triangles and growth by consensus, re-weighting after Chatterjee and Govindu (ICCV 2013), least squares over the
-    edges that agree (``docs/method.md``). Where every view has a gravity ten times tighter than the edges, only
-    turns about the vertical are sought.
+    Votes of small loops and growth by consensus, re-weighting after Chatterjee and Govindu (ICCV 2013), least squares
+    over the edges that agree (``docs/method.md``). Where every view has a gravity ten times tighter than the edges,
+    only turns about the vertical are sought. Errors name a row of the edges' arrays as ``edges[row]``, and an entry of the
+    priors by its place in all of them, one record after the other.
     """
     chosen = OrientationOptions() if options is None else options
     turns = _numbers("second_from_first", second_from_first)
@@ -182,7 +183,7 @@ def average_rotations(
     sigma = _each("sigma_rad", DEFAULT_SIGMA_RAD if sigma_rad is None else sigma_rad, n)
     given = [priors] if isinstance(priors, Priors) else list(priors or ())
     tables = [_prior_table(f"priors[{k}]", prior, is_planar=turns.ndim == 1) for k, prior in enumerate(given)]
-    largest = max((int(view.max(initial=-1)) for view in [*ends, *(table[1] for table in tables)]), default=-1)
+    largest = max((int(view.max()) for view in [*ends, *(table[1] for table in tables)] if len(view)), default=-1)
     found = call_core(
         _core.average_rotations,
         *ends,
