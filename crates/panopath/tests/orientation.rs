@@ -436,6 +436,33 @@ fn a_tight_vertical_leaves_turns_about_it() {
 }
 
 #[test]
+fn edges_better_than_their_vertical_are_not_bent_to_it() {
+    let mut g = graph(80, &band(80, 8), 0.005 * DEG, 0.1, 30);
+    let mut noise = Noise::new(31);
+    let priors: Vec<_> = (0..80).map(|i| gravity(&g.truth[i], i as u32, 0.09 * DEG, &mut noise)).collect();
+    for e in &mut g.edges {
+        e.sigma_rad = 1.0 * DEG;
+    }
+    let options = OrientationOptions { estimate_noise: true, ..Default::default() };
+    let found = average_rotations(80, &g.edges, &priors, &options).unwrap();
+    let error = worst(&errors(&found, &g.truth, 0));
+    assert!(error < 0.02 * DEG, "{}", error / DEG);
+}
+
+#[test]
+fn hubs_and_unequal_edges_are_ordinary() {
+    let star: Pairs = (1..3000).map(|i| (0, i)).collect();
+    let g = graph(3000, &star, 1.0 * DEG, 0.0, 32);
+    assert_eq!(solve(3000, &g.edges, &[]).status, OrientationStatus::Converged);
+    let mut g = graph(40, &band(40, 6), 1e-6, 0.0, 33);
+    for (k, e) in g.edges.iter_mut().enumerate() {
+        e.sigma_rad = [1e-6, 1.0, 1e-3][k % 3];
+    }
+    let found = solve(40, &g.edges, &[]);
+    assert!(worst(&errors(&found, &g.truth, 0)) < 1e-4);
+}
+
+#[test]
 fn a_vertical_in_some_views_helps_all_and_levels_the_world() {
     let g = graph(100, &band(100, 3), 1.0 * DEG, 0.1, 15);
     let mut noise = Noise::new(16);

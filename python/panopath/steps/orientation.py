@@ -168,8 +168,8 @@ def average_rotations(
     -----
     Votes of small loops and growth by consensus, re-weighting after Chatterjee and Govindu (ICCV 2013), least squares
     over the edges that agree (``docs/method.md``). Where every view has a gravity ten times tighter than the edges,
-    only turns about the vertical are sought. Errors name a row of the edges' arrays as ``edges[row]``, and an entry of the
-    priors by its place in all of them, one record after the other.
+    only turns about the vertical are sought. Errors name a row of the edges' arrays as ``edges[row]``, and an entry of
+    the priors by its place in all of them, one record after the other.
     """
     chosen = OrientationOptions() if options is None else options
     turns = _numbers("second_from_first", second_from_first)

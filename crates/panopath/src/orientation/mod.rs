@@ -20,7 +20,7 @@ use crate::least_squares::{LeastSquaresError, LinearSolver, symmetric_eigen};
 
 use averaging::{Average, Problem, average, cut, median, residual};
 use graph::Graph;
-use start::Edges;
+use start::{Edges, noise_from_triangles};
 use turns::{Angle, Quaternion, SpatialPrior, Turn, wrapped};
 use vertical::{level, tight_ups};
 
@@ -195,8 +195,8 @@ pub fn average_rotations<const D: usize>(
     let relative = check_edges(n_views, edges)?;
     let known = check_priors(n_views, priors)?;
     let sigma: Vec<f64> = edges.iter().map(|e| e.sigma_rad).collect();
-    let ups = if D == 2 { Some(vec![[0.0, 0.0, 1.0]; n_views]) } else { tight_ups(n_views, &known, &sigma) };
     let input = Input { n_views, ends: edges.iter().map(|e| (e.first, e.second)).collect(), relative, sigma, known };
+    let ups = if D == 2 { Some(vec![[0.0, 0.0, 1.0]; n_views]) } else { ups_for_good(&input, options) };
     let average = match &ups {
         Some(ups) => about_the_vertical(&input, ups, options)?,
         None => in_space(&input, options)?,
@@ -211,6 +211,19 @@ struct Input {
     relative: Vec<Quaternion>,
     sigma: Vec<f64>,
     known: Vec<(u32, SpatialPrior)>,
+}
+
+/// Up of each view, where all are known so well against the edges that they need not be sought.
+fn ups_for_good(input: &Input, options: &OrientationOptions) -> Option<Vec<Vector<3>>> {
+    let ups = tight_ups(input.n_views, &input.known, &input.sigma, 1.0)?;
+    if !options.estimate_noise {
+        return Some(ups);
+    }
+    // edges better than their sigma says ask for better ups
+    let graph = Graph::new(input.n_views, input.ends.iter().copied());
+    let credible = vec![true; graph.n_edges()];
+    let edges = Edges { graph: &graph, relative: &input.relative, sigma: &input.sigma, credible: &credible };
+    tight_ups(input.n_views, &input.known, &input.sigma, noise_from_triangles(&edges).unwrap_or(1.0))
 }
 
 fn in_space(input: &Input, options: &OrientationOptions) -> Result<Average<Quaternion, 3>, OrientationError> {

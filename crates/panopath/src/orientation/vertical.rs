@@ -17,9 +17,14 @@ const MEDIAN_TILT: f64 = 1.177;
 /// Tilts are never judged by a noise greater than this, radians (10 degrees).
 const MOST_NOISE_RAD: f64 = 0.175;
 
-/// Up of each view; `None` where some view has none, or none as tight as the edges ask.
-pub(super) fn tight_ups(n_views: usize, priors: &[(u32, SpatialPrior)], edge_sigma: &[f64]) -> Option<Vec<Vector<3>>> {
-    let least = edge_sigma.iter().copied().fold(f64::INFINITY, f64::min);
+/// Up of each view; `None` where some view has none, or none as tight as the edges ask. `noise` is relative to their sigma.
+pub(super) fn tight_ups(
+    n_views: usize,
+    priors: &[(u32, SpatialPrior)],
+    edge_sigma: &[f64],
+    noise: f64,
+) -> Option<Vec<Vector<3>>> {
+    let least = noise * edge_sigma.iter().copied().fold(f64::INFINITY, f64::min);
     let mut ups = vec![None; n_views];
     for (view, prior) in priors {
         match prior {
