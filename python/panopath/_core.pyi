@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 __all__ = [
     "__version__",
+    "average_rotations",
     "bearings_from_circular",
     "bearings_from_compass",
     "bearings_from_cylindrical",
@@ -37,6 +38,15 @@ __all__ = [
 
 __version__: str
 
+def average_rotations(
+    first: npt.NDArray[np.int32],
+    second: npt.NDArray[np.int32],
+    second_from_first: npt.NDArray[np.float64],
+    n_views: int,
+    sigma_rad: npt.NDArray[np.float64],
+    priors: list[tuple[Any, ...]],
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
 def solve_positions(
     view: npt.NDArray[np.int32],
     track: npt.NDArray[np.int32],

@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod convert;
+mod orientation;
 mod positions;
 mod refinement;
 mod sphere;
@@ -13,6 +14,7 @@ mod view_graph;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    orientation::register(module)?;
     positions::register(module)?;
     refinement::register(module)?;
     sphere::register(module)?;

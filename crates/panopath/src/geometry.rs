@@ -114,6 +114,11 @@ impl<const D: usize> Rotation<D> {
         (determinant(&matrix) > 0.0).then_some(Self { matrix })
     }
 
+    /// A matrix that the caller vouches for; NaN means *not determined*.
+    pub(crate) fn trusted(matrix: Matrix<D>) -> Self {
+        Self { matrix }
+    }
+
     /// The matrix, row by row.
     pub fn matrix(&self) -> &Matrix<D> {
         &self.matrix
@@ -163,21 +168,7 @@ impl<const D: usize> Rotation<D> {
         if D == 2 {
             return [m(1, 0).atan2(m(0, 0)), 0.0, 0.0];
         }
-        let entry = |k: usize| m((k + 2) % 3, (k + 1) % 3) - m((k + 1) % 3, (k + 2) % 3);
-        let axis: [f64; 3] = std::array::from_fn(entry);
-        let (sine, cosine) = (0.5 * norm(&axis), 0.5 * (m(0, 0) + m(1, 1) + m(2, 2) - 1.0));
-        let angle = sine.atan2(cosine);
-        if sine > 1e-6 {
-            return axis.map(|x| x * 0.5 * angle / sine);
-        }
-        if cosine > 0.0 {
-            return axis.map(|x| 0.5 * x);
-        }
-        // half a turn: the symmetric part is 2 a a^T - I, whose largest column holds the axis
-        let k = (0..3).fold(0, |best, c| if m(c, c) > m(best, best) { c } else { best });
-        let column: [f64; 3] = std::array::from_fn(|r| 0.5 * (m(r, k) + m(k, r)) + if r == k { 1.0 } else { 0.0 });
-        let sign = if dot(&column, &axis) < 0.0 { -1.0 } else { 1.0 };
-        scale(sign * angle, &normalized(&column))
+        Rotation::<3> { matrix: std::array::from_fn(|r| std::array::from_fn(|c| m(r, c))) }.log()
     }
 }
 
@@ -186,6 +177,11 @@ impl Rotation<2> {
     pub fn from_angle(angle_rad: f64) -> Self {
         let (sin, cos) = angle_rad.sin_cos();
         Self { matrix: [[cos, -sin], [sin, cos]] }
+    }
+
+    /// The angle in `(-pi, pi]` whose [`from_angle`](Self::from_angle) this is.
+    pub fn angle(&self) -> f64 {
+        self.matrix[1][0].atan2(self.matrix[0][0])
     }
 }
 
@@ -209,6 +205,51 @@ impl Rotation<3> {
                 *entry += s * cross[r][col] + c * square;
             }
         }
+        Self { matrix }
+    }
+
+    /// The rotation vector of length at most pi whose [`exp`](Self::exp) this is, to full precision from 0 to pi.
+    ///
+    /// At pi the axis has two signs, and either may come out.
+    pub fn log(&self) -> Vector<3> {
+        let [w, x, y, z] = self.quaternion();
+        let sine = norm(&[x, y, z]);
+        // angle / sin(angle / 2), by its limit where both vanish
+        let factor = if sine > 1e-150 { 2.0 * sine.atan2(w) / sine } else { 2.0 / w };
+        scale(factor, &[x, y, z])
+    }
+
+    /// The unit quaternion `(w, x, y, z)` of this rotation with `w >= 0`.
+    ///
+    /// The largest component is found first, so that no digits are lost near half a turn (Shepperd 1978).
+    pub fn quaternion(&self) -> [f64; 4] {
+        let m = &self.matrix;
+        let trace = m[0][0] + m[1][1] + m[2][2];
+        let largest =
+            (0..3).fold(3, |best, k| if m[k][k] > if best == 3 { trace } else { m[best][best] } { k } else { best });
+        let mut q = [0.0; 4];
+        if largest == 3 {
+            q = [1.0 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+        } else {
+            let (i, j, k) = (largest, (largest + 1) % 3, (largest + 2) % 3);
+            q[0] = m[k][j] - m[j][k];
+            q[1 + i] = 1.0 + m[i][i] - m[j][j] - m[k][k];
+            q[1 + j] = m[i][j] + m[j][i];
+            q[1 + k] = m[i][k] + m[k][i];
+        }
+        let length = dot(&q, &q).sqrt();
+        scale(if q[0] < 0.0 { -1.0 / length } else { 1.0 / length }, &q)
+    }
+
+    /// The rotation of a quaternion `(w, x, y, z)` of any length but zero.
+    pub fn from_quaternion(q: &[f64; 4]) -> Self {
+        let [w, x, y, z] = *q;
+        let s = 2.0 / dot(q, q);
+        let matrix = [
+            [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
+        ];
         Self { matrix }
     }
 }

@@ -1,8 +1,9 @@
 //! From what an omni-directional camera saw to its path and the space around it.
 //!
 //! The pipeline in words: [`sphere`] turns angles and pixels into bearings; [`tracks`] holds bearings as observations of
-//! points by views; [`positions`] finds, from bearings of known orientation, the camera centres and the points, says which
-//! observations agree, which parts share a scale and whether the answer is determined, and bounds its covariance.
+//! points by views; [`orientation`] averages relative rotations of pairs of views to one orientation for each view;
+//! [`positions`] finds, from bearings of known orientation, the camera centres and the points, says which observations
+//! agree, which parts share a scale and whether the answer is determined, and bounds its covariance.
 //! [`synthetic`] makes worlds with exact truth to test all of it on. [`geometry`] and [`least_squares`] serve the others.
 //!
 //! An observation of point `x` by a view with centre `c` and orientation `cam_from_world` is the unit vector
@@ -14,6 +15,7 @@
 mod bundle;
 pub mod geometry;
 pub mod least_squares;
+pub mod orientation;
 pub mod positions;
 pub mod refinement;
 pub mod sphere;

@@ -104,6 +104,37 @@ proptest! {
     }
 
     #[test]
+    fn the_logarithm_undoes_the_exponential(seed in any::<u64>(), log_angle in -300.0..0.4971f64, log_short in -17.0..0.0f64) {
+        let axis: Vector<3> = Noise::new(seed).direction();
+        for angle in [10f64.powf(log_angle), std::f64::consts::PI - 10f64.powf(log_short)] {
+            let phi = scale(angle, &axis);
+            let r = Rotation::exp(&phi);
+            let found = r.log();
+            prop_assert!(norm(&found) <= std::f64::consts::PI + 1e-15);
+            // at half a turn the axis has two signs
+            let off = norm(&sub(&found, &phi)).min(norm(&add(&found, &phi)) + 2.0 * (std::f64::consts::PI - angle));
+            prop_assert!(off < 4e-15 * angle.max(1e-290), "{} {}", angle, off / angle);
+            prop_assert!(distance(&Rotation::exp(&found), &r) < 4e-15);
+            prop_assert!(norm(&add(&r.inverse().log(), &found)) < 1e-14 || angle > 3.1);
+            prop_assert!(distance(&Rotation::from_quaternion(&r.quaternion()), &r) < 2e-15);
+            prop_assert!(r.quaternion()[0] >= 0.0);
+        }
+        let angle = 3.1 * axis[0];
+        prop_assert!((Rotation::from_angle(angle).angle() - angle).abs() < 1e-15);
+    }
+
+    #[test]
+    fn logarithms_turn_with_the_frame(seed in any::<u64>()) {
+        // log(a b a^-1) = a log(b)
+        let mut noise = Noise::new(seed);
+        let (a, b) = (random_rotation::<3>(&mut noise), random_rotation::<3>(&mut noise));
+        let turned = a.compose(&b).compose(&a.inverse()).log();
+        if norm(&turned) < 3.1 {
+            prop_assert!(norm(&sub(&turned, &a.apply(&b.log()))) < 1e-12);
+        }
+    }
+
+    #[test]
     fn tangent_bases_are_orthonormal_everywhere(seed in any::<u64>()) {
         let mut noise = Noise::new(seed);
         check_tangents::<2>(&noise.direction());
@@ -134,6 +165,18 @@ fn the_exponential_is_smooth_where_its_series_takes_over() {
             }
         }
     }
+}
+
+#[test]
+fn half_turns_have_logarithms() {
+    for axis in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [-0.6, 0.48, 0.64]] {
+        let r = Rotation::exp(&scale(std::f64::consts::PI, &axis));
+        assert!((norm(&r.log()) - std::f64::consts::PI).abs() < 1e-15, "{axis:?}");
+        assert!(distance(&Rotation::exp(&r.log()), &r) < 1e-15, "{axis:?}");
+    }
+    assert_eq!(Rotation::<3>::identity().log(), [0.0; 3]);
+    assert_eq!(Rotation::<2>::identity().angle(), 0.0);
+    assert!(Rotation::exp(&[f64::NAN; 3]).log().iter().all(|x| x.is_nan()));
 }
 
 #[test]

@@ -1,11 +1,24 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
+from panopath.steps.orientation import (
+    GravityPriors,
+    HeadingPriors,
+    OrientationOptions,
+    OrientationPriors,
+    Orientations,
+    average_rotations,
+)
 from panopath.steps.positions import position_covariance, solve_positions
 from panopath.steps.refinement import RefineOptions, SceneCovariance, refine, scene_covariance
 from panopath.steps.two_view import TwoView, TwoViewOptions, TwoViews, TwoViewStatus, relative_pose, relative_poses
 from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
+    "GravityPriors",
+    "HeadingPriors",
+    "OrientationOptions",
+    "OrientationPriors",
+    "Orientations",
     "RefineOptions",
     "SceneCovariance",
     "TwoView",
@@ -14,6 +27,7 @@ __all__ = [
     "TwoViews",
     "ViewGraphOptions",
     "ViewPairs",
+    "average_rotations",
     "position_covariance",
     "refine",
     "relative_pose",

@@ -1,0 +1,242 @@
+"""The whole story on one screen: tracks without orientations in, a refined scene out.
+
+    tracks -> view graph -> relative rotations -> orientations -> positions -> refinement -> second pass -> scene
+
+In the plane, where two views tell nothing of each other, headings are found from triplets of views instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from panopath.model import Bool, Float, InputError, PositionOptions, Scene, Status, Tracks, check_orientations
+from panopath.priors import DirectionPriors, Priors, Rig
+from panopath.steps import (
+    GravityPriors,
+    OrientationOptions,
+    OrientationPriors,
+    RefineOptions,
+    TwoViewOptions,
+    TwoViewStatus,
+    ViewGraphOptions,
+    average_rotations,
+    refine,
+    relative_poses,
+    solve_positions,
+    view_pairs,
+)
+
+#: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
+_LEAST_EDGE_SIGMA_RAD = 1e-4
+
+
+@dataclass(frozen=True)
+class ReconstructOptions:
+    """Choices of :func:`reconstruct_tracks`: those of its steps."""
+
+    view_graph: ViewGraphOptions = field(default_factory=ViewGraphOptions)
+    two_view: TwoViewOptions = field(default_factory=TwoViewOptions)
+    orientation: OrientationOptions = field(default_factory=OrientationOptions)
+    positions: PositionOptions = field(default_factory=PositionOptions)
+    refine: RefineOptions = field(default_factory=RefineOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewOrientations:
+    """Orientations of views that were found from their bearings."""
+
+    #: (n_views, 3, 3), or (n_views,) headings in radians; NaN where not found.
+    cam_from_world: Float
+    #: (n_views,) part of each view: orientations of different parts cannot be compared. -1 = none.
+    view_component: npt.NDArray[np.int32]
+
+
+def reconstruct_tracks(
+    tracks: Tracks,
+    orientations: npt.ArrayLike | None = None,
+    priors: Priors | None = None,
+    gravity: npt.ArrayLike | None = None,
+    options: ReconstructOptions | None = None,
+    rig: Rig | None = None,
+) -> Scene:
+    """Camera path, orientations and points from bearings in the cameras, d = 2 or 3.
+
+    Parameters
+    ----------
+    tracks
+        The observations, bearings in the cameras (with a rig: in the frames of the views, see ``Rig.to_view``).
+    orientations
+        (n_views, 3, 3) ``cam_from_world``, or (n_views,) headings in radians, that are about right (to some
+        degrees); None: unknown.
+    priors
+        What is known beforehand with its accuracy: some orientations, directions, positions.
+    gravity
+        (n_views, 3) the upward vertical in each camera, NaN where unknown; taken to be right to half a degree. Give
+        ``priors`` with ``DirectionPriors.gravity`` where it is better or worse. The world then has z up.
+    options
+        Choices of the steps.
+    rig
+        Where bearings start from, for views with several sensors.
+
+    Returns
+    -------
+    Scene
+        Up to a similarity, or in the frame of the priors. A component is a part of the views that could be oriented
+        and placed together.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that cannot be used.
+    """
+    chosen = ReconstructOptions() if options is None else options
+    known = _with_gravity(Priors() if priors is None else priors, gravity, tracks)
+    if orientations is None:
+        oriented = orient_views(tracks, known, chosen)
+    else:
+        rotations = check_orientations(orientations, tracks.n_views, tracks.d)
+        oriented = ViewOrientations(rotations, np.zeros(tracks.n_views, dtype=np.int32))
+    start = place_views(tracks, oriented, chosen.positions)
+    return refine(tracks, start, replace(chosen.refine, priors=known), rig)
+
+
+def orient_views(
+    tracks: Tracks, priors: Priors | None = None, options: ReconstructOptions | None = None
+) -> ViewOrientations:
+    """Orientations of all views from their bearings alone, up to a common turn where no prior fixes it.
+
+    Parameters
+    ----------
+    tracks
+        The observations, bearings in the cameras.
+    priors
+        Orientations and directions that are known of some views.
+    options
+        Choices of the steps that take part.
+    """
+    chosen = ReconstructOptions() if options is None else options
+    if tracks.d == 2:
+        return _find_planar(tracks)
+    pairs = view_pairs(tracks, chosen.view_graph)
+    matches = pairs.observation
+    found = relative_poses(pairs.start, tracks.bearing[matches[:, 0]], tracks.bearing[matches[:, 1]], chosen.two_view)
+    good = np.array([status is not TwoViewStatus.UNDETERMINED for status in found.status], dtype=np.bool_)
+    variance = np.trace(found.rotation_covariance[good], axis1=1, axis2=2) / 3.0
+    averaged = average_rotations(
+        pairs.pair[good, 0],
+        pairs.pair[good, 1],
+        found.second_from_first[good],
+        n_views=tracks.n_views,
+        sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
+        priors=_orientation_priors(priors),
+        options=chosen.orientation,
+    )
+    return ViewOrientations(averaged.cam_from_world, averaged.view_component)
+
+
+def place_views(tracks: Tracks, oriented: ViewOrientations, options: PositionOptions | None = None) -> Scene:
+    """Positions and points, each part of the oriented views by itself.
+
+    Parameters
+    ----------
+    tracks
+        The observations, bearings in the cameras.
+    oriented
+        Orientations, with the part that each view belongs to.
+    options
+        Choices of :func:`panopath.solve_positions`.
+    """
+    n_parts = int(oriented.view_component.max(initial=-1)) + 1
+    identity = np.zeros(tracks.n_views) if tracks.d == 2 else np.tile(np.eye(3), (tracks.n_views, 1, 1))
+    placed: Scene | None = None
+    for part in range(n_parts):
+        members = oriented.view_component == part
+        seen = members[tracks.view]
+        if members.sum() < 2 or not seen.any():
+            continue
+        rotations = np.where(members.reshape(-1, *[1] * (identity.ndim - 1)), oriented.cam_from_world, identity)
+        scene = solve_positions(tracks.select(seen), rotations, options)
+        placed = _joined(placed, scene, tracks, seen)
+    return _nothing(tracks, identity) if placed is None else placed
+
+
+def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> Scene:
+    """The scene of a further part, made from the observations ``seen``, beside those of the parts before it."""
+    base = _nothing(tracks, second.cam_from_world) if first is None else first
+    n_before = base.n_components
+    views = (second.view_component >= 0) & (base.view_component < 0)
+    points = (second.track_component >= 0) & (base.track_component < 0)
+    inlier, residual = base.inlier.copy(), base.residual_rad.copy()
+    taken = points[tracks.track[seen]]
+    rows = np.flatnonzero(seen)[taken]
+    inlier[rows], residual[rows] = second.inlier[taken], second.residual_rad[taken]
+    turned = views.reshape(-1, *[1] * (second.cam_from_world.ndim - 1))
+    return replace(
+        base,
+        centers=np.where(views[:, None], second.centers, base.centers),
+        points=np.where(points[:, None], second.points, base.points),
+        view_component=np.where(views, second.view_component + n_before, base.view_component),
+        track_component=np.where(points, second.track_component + n_before, base.track_component),
+        inlier=inlier,
+        residual_rad=residual,
+        cam_from_world=np.where(turned, second.cam_from_world, base.cam_from_world),
+        summary=second.summary if first is None else base.summary,
+    )
+
+
+def _nothing(tracks: Tracks, cam_from_world: Float) -> Scene:
+    """A scene in which nothing is determined."""
+    from panopath.model import Summary
+
+    return Scene(
+        centers=np.full((tracks.n_views, tracks.d), np.nan),
+        points=np.full((tracks.n_tracks, tracks.d), np.nan),
+        view_component=np.full(tracks.n_views, -1),
+        track_component=np.full(tracks.n_tracks, -1),
+        inlier=np.zeros(len(tracks), dtype=np.bool_),
+        residual_rad=np.full(len(tracks), np.nan),
+        cam_from_world=cam_from_world,
+        summary=Summary(Status.UNDETERMINED, 0, np.nan),
+        tracks=tracks,
+        view_names=tracks.view_names,
+        track_names=tracks.track_names,
+    )
+
+
+#: How well the upward vertical is taken to be known where nothing is said of it.
+_GRAVITY_SIGMA_RAD = float(np.radians(0.5))
+
+
+def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks) -> Priors:
+    if gravity is None:
+        return priors
+    up = np.asarray(gravity, dtype=np.float64)
+    if tracks.d != 3 or up.shape != (tracks.n_views, 3):
+        raise InputError(f"gravity has shape {up.shape}, expected ({tracks.n_views}, 3) for views in space")
+    if priors.directions is not None:
+        raise InputError("gravity and priors.directions are both given, expected one of them")
+    known = np.flatnonzero(np.isfinite(up).all(axis=1))
+    return replace(priors, directions=DirectionPriors.gravity(known, up[known], _GRAVITY_SIGMA_RAD))
+
+
+def _orientation_priors(priors: Priors | None) -> list[OrientationPriors | GravityPriors]:
+    """Those that tell how views are turned, as averaging takes them."""
+    found: list[OrientationPriors | GravityPriors] = []
+    if priors is None:
+        return found
+    if priors.rotations is not None:
+        known = priors.rotations
+        found.append(OrientationPriors(known.view, known.cam_from_world, known.covariance))
+    if priors.directions is not None:
+        measured = priors.directions
+        upward = measured.direction[:, 2] > 1.0 - 1e-9
+        if upward.any():
+            found.append(GravityPriors(measured.view[upward], measured.bearing[upward], measured.sigma_rad[upward]))
+    return found
+
+
+def _find_planar(tracks: Tracks) -> ViewOrientations:
+    raise NotImplementedError

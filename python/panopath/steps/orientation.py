@@ -1,0 +1,271 @@
+"""Orientations of views from relative rotations of pairs of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from panopath import _core
+from panopath.model import Bool, Float, InputError, Int, LinearSolver, Status, read_only
+from panopath.steps.common import call_core
+
+#: Noise of an edge about each axis where nothing is stated, radians; only its ratio to the priors' matters.
+DEFAULT_SIGMA_RAD = float(np.deg2rad(1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationPriors:
+    """Measured orientations of some views."""
+
+    #: (m,) views, each one once.
+    view: npt.ArrayLike
+    #: (m, 3, 3) rotations, or (m,) headings in radians in the plane.
+    cam_from_world: npt.ArrayLike
+    #: (m, 3, 3) covariance of the small rotation that leads from the measured to the true orientation, applied on the
+    #: left, in the camera; or one standard deviation about every axis, or (m,) of them. Radians squared, or radians.
+    covariance: npt.ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class GravityPriors:
+    """Where up is in the cameras of some views, as an accelerometer tells it. Space only."""
+
+    #: (m,) views, each one once.
+    view: npt.ArrayLike
+    #: (m, 3) unit vectors: world z in the camera.
+    up_in_cam: npt.ArrayLike
+    #: Standard deviation along each tangent direction in radians, one or (m,).
+    sigma_rad: npt.ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class HeadingPriors:
+    """Compass readings: the horizontal direction in which a camera axis points.
+
+    In space they count where the vertical is known, by gravity or orientation of any view of the part.
+    """
+
+    #: (m,) views, each one once.
+    view: npt.ArrayLike
+    #: (m,) angles in the world, anticlockwise from x, radians.
+    heading_rad: npt.ArrayLike
+    #: Standard deviation in radians, one or (m,).
+    sigma_rad: npt.ArrayLike
+    #: The camera axis, (3,) or (m, 3) unit vectors; None: z in space (forward), x in the plane.
+    forward: npt.ArrayLike | None = None
+
+
+Priors = OrientationPriors | GravityPriors | HeadingPriors
+
+
+@dataclass(frozen=True)
+class OrientationOptions:
+    """Choices of :func:`average_rotations`; the defaults are meant to be right."""
+
+    #: Most re-weighted steps, and most steps of each final fit.
+    max_iterations: int = 50
+    #: How the sparse system is solved; ``auto`` chooses by predicted cost.
+    linear_solver: LinearSolver = "auto"
+    #: Work out the covariance of each view: a solve for each.
+    covariance: bool = False
+    #: Threads to use; None: all cores. The answer does not depend on it.
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.linear_solver not in get_args(LinearSolver):
+            raise InputError(f"linear_solver is {self.linear_solver!r}, expected one of {get_args(LinearSolver)}")
+        for name in ("max_iterations", "threads"):
+            value = getattr(self, name)
+            if name == "threads" and value is None:
+                continue
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"{name} is {value!r}, expected a whole number from 1")
+        if not isinstance(self.covariance, bool):
+            raise InputError(f"covariance is {self.covariance!r}, expected True or False")
+
+
+@dataclass(frozen=True, eq=False)
+class Orientations:
+    """Orientations of views, and what became of the edges. Views not determined are NaN; the arrays are read-only."""
+
+    #: (n_views, 3, 3) rotations, or (n_views,) headings in radians in the plane. The first view of a part without
+    #: priors has the identity; in one with gravity alone it is as near the identity as the vertical lets it.
+    cam_from_world: Float
+    #: (n_views,) int32, the part each view belongs to, 0 the largest, -1 = none.
+    view_component: Int
+    #: (n_edges,) whether each edge was used to the end.
+    inlier: Bool
+    #: (n_edges,) angle between each edge and the answer, NaN between views of different parts.
+    residual_rad: Float
+    status: Status
+    #: Linear systems solved.
+    iterations: int
+    #: Noise about each axis of an edge of median sigma, from the inliers' loops; NaN without loops.
+    sigma_rad: float
+    #: (n_views, 3, 3) covariance of the small rotation on the left of each view, against the frame of its part; None
+    #: unless asked for. In the plane the entry [2, 2] alone counts.
+    covariance_rad2: Float | None = None
+
+    @property
+    def n_components(self) -> int:
+        """Number of parts whose relative orientation nothing tells."""
+        return int(self.view_component.max(initial=-1)) + 1
+
+    def __repr__(self) -> str:
+        solved = int((self.view_component >= 0).sum())
+        return (
+            f"Orientations({self.status.value}: {solved} of {len(self.view_component)} views, "
+            f"{int(self.inlier.sum())} of {len(self.inlier)} edges, {self.n_components} part(s))"
+        )
+
+
+def average_rotations(
+    first: npt.ArrayLike,
+    second: npt.ArrayLike,
+    second_from_first: npt.ArrayLike,
+    *,
+    n_views: int | None = None,
+    sigma_rad: npt.ArrayLike | None = None,
+    priors: Priors | Sequence[Priors] | None = None,
+    options: OrientationOptions | None = None,
+) -> Orientations:
+    """Orientations of all views from relative rotations of pairs, some of which may be wrong.
+
+    Parameters
+    ----------
+    first, second
+        (n_edges,) views that each edge joins; each pair once.
+    second_from_first
+        (n_edges, 3, 3) rotations, ``cam_from_world[second] = second_from_first @ cam_from_world[first]``. In the plane
+        (n_edges,) relative headings in radians: ``heading[second] = heading[first] + second_from_first``, how far the
+        second camera is turned anticlockwise against the first.
+    n_views
+        Number of views; default: the largest index plus one.
+    sigma_rad
+        Standard deviation of the relative rotations about each axis in radians, one or (n_edges,). None: unknown, the
+        same for all; it is then found from the loops.
+    priors
+        What is known of single views: :class:`OrientationPriors`, :class:`GravityPriors`, :class:`HeadingPriors`. They
+        are weighed by their sigmas and not searched for wrong ones.
+    options
+        Choices; default ``OrientationOptions()``.
+
+    Returns
+    -------
+    Orientations
+        ``status`` says how it ended; ``disconnected`` where edges leave parts whose relative orientation nothing tells.
+
+    Raises
+    ------
+    InputError
+        Naming the argument and the entry that cannot be used.
+
+    Notes
+    -----
+    Votes of small loops and growth by consensus, re-weighting after Chatterjee and Govindu (ICCV 2013), least squares
+    over the edges that agree (``docs/method.md``). Where every view has a gravity ten times tighter than the edges,
+    only turns about the vertical are sought. Errors name a row of the edges' arrays as ``edges[row]``, and an entry of
+    the priors by its place in all of them, one record after the other.
+    """
+    chosen = OrientationOptions() if options is None else options
+    turns = _numbers("second_from_first", second_from_first)
+    if turns.ndim not in (1, 3) or (turns.ndim == 3 and turns.shape[1:] != (3, 3)):
+        raise InputError(f"second_from_first has shape {turns.shape}, expected (n_edges, 3, 3) or (n_edges,)")
+    n = len(turns)
+    ends = [_views(name, values) for name, values in (("first", first), ("second", second))]
+    for name, view in zip(("first", "second"), ends, strict=True):
+        if len(view) != n:
+            raise InputError(f"{name} has {len(view)} rows, expected {n}")
+    sigma = _each("sigma_rad", DEFAULT_SIGMA_RAD if sigma_rad is None else sigma_rad, n)
+    given = [priors] if isinstance(priors, Priors) else list(priors or ())
+    tables = [_prior_table(f"priors[{k}]", prior, is_planar=turns.ndim == 1) for k, prior in enumerate(given)]
+    largest = max((int(view.max()) for view in [*ends, *(table[1] for table in tables)] if len(view)), default=-1)
+    found = call_core(
+        _core.average_rotations,
+        *ends,
+        turns,
+        _count(n_views, largest),
+        sigma,
+        tables,
+        {**chosen.__dict__, "estimate_noise": sigma_rad is None},
+    )
+    return _orientations(found, chosen.covariance)
+
+
+def _orientations(found: dict[str, Any], has_covariance: bool) -> Orientations:
+    return Orientations(
+        cam_from_world=read_only(found["cam_from_world"]),
+        view_component=read_only(found["view_component"]),
+        inlier=read_only(found["inlier"]),
+        residual_rad=read_only(found["residual_rad"]),
+        status=Status(found["status"]),
+        iterations=int(found["iterations"]),
+        sigma_rad=float(found["sigma_rad"]),
+        covariance_rad2=read_only(found["covariance_rad2"]) if has_covariance else None,
+    )
+
+
+def _prior_table(name: str, prior: Any, *, is_planar: bool) -> tuple[Any, ...]:
+    """Kind, views and arrays of one prior record, all of one length."""
+    if not isinstance(prior, Priors):
+        raise InputError(f"{name} is a {type(prior).__name__}, expected Orientation-, Gravity- or HeadingPriors")
+    view = _views(f"{name}.view", prior.view).astype(np.uint32)
+    m = len(view)
+    if isinstance(prior, OrientationPriors):
+        rotation = _shaped(f"{name}.cam_from_world", prior.cam_from_world, (m,) if is_planar else (m, 3, 3))
+        spread = _numbers(f"{name}.covariance", prior.covariance)
+        if spread.ndim < 3:
+            spread = _each(f"{name}.covariance", spread, m)[:, None, None] ** 2 * np.eye(3)
+        return "orientation", view, rotation, _shaped(f"{name}.covariance", spread, (m, 3, 3))
+    sigma = _each(f"{name}.sigma_rad", prior.sigma_rad, m)
+    if isinstance(prior, GravityPriors):
+        return "gravity", view, _shaped(f"{name}.up_in_cam", prior.up_in_cam, (m, 3)), sigma
+    usual = (1.0, 0.0, 0.0) if is_planar else (0.0, 0.0, 1.0)
+    forward = _numbers(f"{name}.forward", usual if prior.forward is None else prior.forward)
+    if forward.shape == (3,):
+        forward = np.tile(forward, (m, 1))
+    heading = _shaped(f"{name}.heading_rad", prior.heading_rad, (m,))
+    return "heading", view, heading, sigma, _shaped(f"{name}.forward", forward, (m, 3))
+
+
+def _count(n_views: int | None, largest: int) -> int:
+    if n_views is None:
+        return largest + 1
+    if not isinstance(n_views, (int, np.integer)) or isinstance(n_views, bool) or n_views <= largest:
+        raise InputError(f"n_views is {n_views!r}, expected a whole number above the largest view, {largest}")
+    return int(n_views)
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> Float:
+    try:
+        return np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} cannot be read as an array of numbers ({error})") from None
+
+
+def _shaped(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> Float:
+    array = _numbers(name, values)
+    if array.shape != shape:
+        raise InputError(f"{name} has shape {array.shape}, expected {shape}")
+    return array
+
+
+def _each(name: str, values: npt.ArrayLike, n: int) -> Float:
+    """One number for all, or one for each."""
+    array = _numbers(name, values)
+    return np.full(n, float(array)) if array.ndim == 0 else _shaped(name, array, (n,))
+
+
+def _views(name: str, values: npt.ArrayLike) -> Int:
+    array = _numbers(name, values)
+    if array.ndim != 1:
+        raise InputError(f"{name} has shape {array.shape}, expected one view a row")
+    wrong = ~((array >= 0.0) & (array < 2.0**31 - 1.0) & (array == np.floor(array)))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InputError(f"{name}[{k}] is {array[k]}, expected a whole number from 0")
+    return array.astype(np.int32)
