@@ -28,6 +28,7 @@ __all__ = [
     "simulate",
     "solve_positions",
     "spherical_from_bearings",
+    "tracks_from_matches",
     "vertical_field_of_view",
 ]
 
@@ -56,6 +57,14 @@ def position_covariance(
     points: npt.NDArray[np.float64],
     inlier: npt.NDArray[np.bool_] | None,
 ) -> npt.NDArray[np.float64]: ...
+def tracks_from_matches(
+    n_features: npt.NDArray[np.int64],
+    pairs: npt.NDArray[np.int32],
+    match_starts: npt.NDArray[np.int64],
+    matches: npt.NDArray[np.int32],
+    min_images: int,
+    min_linkage: float,
+) -> dict[str, Any]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None
 

@@ -11,6 +11,7 @@
 //! are rayon's: the same input gives the same bytes on any number of them.
 #![warn(missing_docs)]
 
+pub mod correspondence;
 pub mod geometry;
 pub mod least_squares;
 pub mod positions;

@@ -1,0 +1,494 @@
+//! Tracks from matches between pairs of images.
+//!
+//! Features are the nodes of a graph and matches its edges. Were all matches right, tracks would be the connected
+//! components. One wrong match joins two points, and a component of thousands of features is soon ambiguous: it holds two
+//! features of one image, though a point is seen once in an image. Ambiguous components are not dropped but cut where they
+//! are weakest, by growing tracks from the best supported match to the worst and refusing joins (Kruskal's order, with
+//! conditions):
+//!
+//! - The support of a match `u - v` is the number of features matched with both, `|N(u) ∩ N(v)|`, its triangles. A chance
+//!   match has hardly any. Matches of equal support come in the order of their pair's mean support.
+//! - Two tracks that hold features of the same image are never joined.
+//! - Two tracks `A`, `B` are joined if enough of the matches there could be between them are there:
+//!   `matches(A, B) / #{(u, v) in A x B : the images of u and v were matched} >= min_linkage` (average linkage, counted over
+//!   the pairs that were tried). A wrong match between two tracks of ten images is one of a hundred.
+//!
+//! Union-find with the condition of one feature an image is that of Moulon and Monasse, "Unordered feature tracking made
+//! fast and easy" (CVMP 2012), which drops what is ambiguous; growing in the order of confidence follows Kruskal (1956).
+
+use rayon::prelude::*;
+
+/// Support is counted up to here: more triangles say no more, and long tracks would cost the cube of their length.
+const MAX_SUPPORT: usize = 15;
+
+/// Below this number of images, which pairs were matched is kept as a table of bits (at most 32 MB).
+const MAX_TABLE: usize = 1 << 14;
+
+/// What a caller may choose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CorrespondenceOptions {
+    /// Tracks seen in fewer images are left out; at least 2.
+    pub min_images: usize,
+    /// Least share of the possible matches between two tracks that must be there to join them, from 0 to 1.
+    pub min_linkage: f64,
+}
+
+impl Default for CorrespondenceOptions {
+    fn default() -> Self {
+        Self { min_images: 2, min_linkage: 0.15 }
+    }
+}
+
+/// Matches of all pairs: match `m` with `starts[p] <= m < starts[p + 1]` says that feature `features[m][0]` of image
+/// `pairs[p][0]` and feature `features[m][1]` of image `pairs[p][1]` show one point.
+#[derive(Debug, Clone, Copy)]
+pub struct Matches<'a> {
+    /// Number of features of each image.
+    pub n_features: &'a [usize],
+    /// Images of each pair.
+    pub pairs: &'a [[u32; 2]],
+    /// Where the matches of each pair begin, and where the last ones end: one more than there are pairs.
+    pub starts: &'a [usize],
+    /// Features of each match, counted within their images.
+    pub features: &'a [[u32; 2]],
+}
+
+/// Tracks as flat arrays, in the order of their first feature; within a track, by image.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct FeatureTracks {
+    /// Image of each observation.
+    pub image: Vec<u32>,
+    /// Track of each observation, from 0, ascending.
+    pub track: Vec<u32>,
+    /// Feature of each observation, counted within its image.
+    pub feature: Vec<u32>,
+    /// Number of tracks.
+    pub n_tracks: usize,
+    /// Matches whose two features did not end in one track.
+    pub n_cut: usize,
+}
+
+/// Why matches cannot be read.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CorrespondenceError {
+    /// Starts that do not divide the matches among the pairs.
+    #[error(
+        "match_starts has {found} entries, expected {expected} that ascend from 0 to {n_matches}, the number of matches"
+    )]
+    Starts {
+        /// How many there are.
+        found: usize,
+        /// One more than there are pairs.
+        expected: usize,
+        /// Number of matches.
+        n_matches: usize,
+    },
+    /// A pair of an image with itself, or with one that is not there.
+    #[error("pairs[{pair}] is ({}, {}), expected two different images below {n_images}", images[0], images[1])]
+    Pair {
+        /// Which pair.
+        pair: usize,
+        /// What it names.
+        images: [u32; 2],
+        /// Number of images.
+        n_images: usize,
+    },
+    /// A feature that its image does not have.
+    #[error("matches[{index}] names feature {feature} of image {image}, which has {n_features} features")]
+    Feature {
+        /// Which match.
+        index: usize,
+        /// The feature named.
+        feature: u32,
+        /// Its image.
+        image: u32,
+        /// How many features that image has.
+        n_features: usize,
+    },
+    /// More features than can be numbered.
+    #[error("n_features adds up to {0}, expected fewer than 2^32 features")]
+    TooMany(usize),
+    /// An option out of its range.
+    #[error("{name} is {found}, expected {expected}")]
+    Option {
+        /// Which option.
+        name: &'static str,
+        /// The value given.
+        found: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+}
+
+/// Joins matched features to tracks in which no image has two features; see the module's text for the method.
+///
+/// The answer depends on the input alone, not on the number of threads.
+///
+/// # Errors
+/// [`CorrespondenceError`] naming the first entry that cannot be used.
+pub fn tracks_from_matches(
+    matches: &Matches,
+    options: &CorrespondenceOptions,
+) -> Result<FeatureTracks, CorrespondenceError> {
+    check_options(options)?;
+    let nodes = Nodes::new(matches)?;
+    let edges = nodes.edges(matches)?;
+    let graph = Neighbours::new(nodes.image.len(), &edges);
+    let support: Vec<u8> = edges.par_iter().map(|&[u, v]| graph.common(u, v)).collect();
+    let tried = TriedPairs::new(matches.n_features.len(), matches.pairs);
+    let order = pairs_by_support(matches.starts, &support);
+    let mut growth = Growth { clusters: Clusters::new(&nodes, matches.n_features.len()), graph, tried, options };
+    for level in (1..=MAX_SUPPORT as u8).rev() {
+        for m in in_order(matches.starts, &order).filter(|&m| support[m] == level) {
+            growth.join(edges[m], None);
+        }
+    }
+    // most wrong matches have no support; their tracks stand by now, and counting all joins at once saves the most time
+    let links = Links::new(&mut growth.clusters, &edges);
+    for m in in_order(matches.starts, &order).filter(|&m| support[m] == 0) {
+        growth.join(edges[m], Some((&links, m)));
+    }
+    let mut clusters = growth.clusters;
+    let n_cut = edges.iter().filter(|[u, v]| clusters.root(*u) != clusters.root(*v)).count();
+    Ok(clusters.into_tracks(&nodes, options.min_images, n_cut))
+}
+
+fn check_options(options: &CorrespondenceOptions) -> Result<(), CorrespondenceError> {
+    if options.min_images < 2 {
+        let found = options.min_images as f64;
+        return Err(CorrespondenceError::Option { name: "min_images", found, expected: "2 or more" });
+    }
+    if !(0.0..=1.0).contains(&options.min_linkage) {
+        let found = options.min_linkage;
+        return Err(CorrespondenceError::Option { name: "min_linkage", found, expected: "a share from 0 to 1" });
+    }
+    Ok(())
+}
+
+/// Pairs from the highest mean support of their matches to the lowest; ties in the order of the input.
+fn pairs_by_support(starts: &[usize], support: &[u8]) -> Vec<usize> {
+    let mean: Vec<f64> = starts
+        .windows(2)
+        .map(|w| support[w[0]..w[1]].iter().map(|&s| f64::from(s)).sum::<f64>() / (w[1] - w[0]).max(1) as f64)
+        .collect();
+    let mut order: Vec<usize> = (0..mean.len()).collect();
+    order.sort_by(|&a, &b| mean[b].total_cmp(&mean[a]));
+    order
+}
+
+/// All matches, pair by pair.
+fn in_order<'a>(starts: &'a [usize], order: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
+    order.iter().flat_map(|&pair| starts[pair]..starts[pair + 1])
+}
+
+/// Features of all images in one count.
+struct Nodes {
+    /// First node of each image.
+    first: Vec<u32>,
+    /// Image of each node.
+    image: Vec<u32>,
+}
+
+impl Nodes {
+    fn new(matches: &Matches) -> Result<Self, CorrespondenceError> {
+        let total = matches.n_features.iter().fold(0usize, |sum, &n| sum.saturating_add(n));
+        if total >= u32::MAX as usize {
+            return Err(CorrespondenceError::TooMany(total));
+        }
+        let (mut first, mut image) = (Vec::with_capacity(matches.n_features.len()), Vec::with_capacity(total));
+        for (i, &n) in matches.n_features.iter().enumerate() {
+            first.push(image.len() as u32);
+            image.resize(image.len() + n, i as u32);
+        }
+        Ok(Self { first, image })
+    }
+
+    /// The two nodes of each match.
+    fn edges(&self, matches: &Matches) -> Result<Vec<[u32; 2]>, CorrespondenceError> {
+        let (starts, n_matches, n_images) = (matches.starts, matches.features.len(), self.first.len());
+        let divides = starts.first() == Some(&0) && starts.last() == Some(&n_matches) && starts.is_sorted();
+        if starts.len() != matches.pairs.len() + 1 || !divides {
+            let (found, expected) = (starts.len(), matches.pairs.len() + 1);
+            return Err(CorrespondenceError::Starts { found, expected, n_matches });
+        }
+        let mut edges = Vec::with_capacity(n_matches);
+        for (pair, &images) in matches.pairs.iter().enumerate() {
+            if images[0] == images[1] || images.iter().any(|&i| i as usize >= n_images) {
+                return Err(CorrespondenceError::Pair { pair, images, n_images });
+            }
+            let [a, b] = images.map(|i| (self.first[i as usize], matches.n_features[i as usize]));
+            for index in starts[pair]..starts[pair + 1] {
+                let [f, g] = matches.features[index];
+                for (feature, image, n_features) in [(f, images[0], a.1), (g, images[1], b.1)] {
+                    if feature as usize >= n_features {
+                        return Err(CorrespondenceError::Feature { index, feature, image, n_features });
+                    }
+                }
+                edges.push([a.0 + f, b.0 + g]);
+            }
+        }
+        Ok(edges)
+    }
+}
+
+/// Neighbours of each node, ascending, each once.
+struct Neighbours {
+    starts: Vec<usize>,
+    node: Vec<u32>,
+}
+
+impl Neighbours {
+    fn new(n_nodes: usize, edges: &[[u32; 2]]) -> Self {
+        let mut starts = vec![0usize; n_nodes + 1];
+        for node in edges.as_flattened() {
+            starts[*node as usize + 1] += 1;
+        }
+        for i in 0..n_nodes {
+            starts[i + 1] += starts[i];
+        }
+        let scattered = scatter(&starts, edges.iter().flat_map(|&[u, v]| [(u, v), (v, u)]));
+        // the transpose of a symmetric graph is itself, and going through it by node leaves every list ascending
+        let by_node =
+            (0..n_nodes).flat_map(|u| scattered[starts[u]..starts[u + 1]].iter().map(move |&v| (v, u as u32)));
+        Self::without_repeats(&starts, &scatter(&starts, by_node))
+    }
+
+    fn without_repeats(starts: &[usize], ascending: &[u32]) -> Self {
+        let mut unique = Self { starts: vec![0; starts.len()], node: Vec::with_capacity(ascending.len()) };
+        for u in 0..starts.len() - 1 {
+            let mut last = u32::MAX;
+            for &v in &ascending[starts[u]..starts[u + 1]] {
+                if v != last {
+                    unique.node.push(v);
+                    last = v;
+                }
+            }
+            unique.starts[u + 1] = unique.node.len();
+        }
+        unique
+    }
+
+    fn of(&self, node: u32) -> &[u32] {
+        &self.node[self.starts[node as usize]..self.starts[node as usize + 1]]
+    }
+
+    /// Number of common neighbours, up to [`MAX_SUPPORT`].
+    fn common(&self, u: u32, v: u32) -> u8 {
+        let (a, b) = (self.of(u), self.of(v));
+        let (mut i, mut j, mut count) = (0, 0, 0);
+        while i < a.len() && j < b.len() && count < MAX_SUPPORT {
+            let (x, y) = (a[i], b[j]);
+            count += usize::from(x == y);
+            i += usize::from(x <= y);
+            j += usize::from(y <= x);
+        }
+        count as u8
+    }
+}
+
+/// Puts `(key, value)` into the list of its key, lists lying one after another from `starts`.
+fn scatter(starts: &[usize], entries: impl Iterator<Item = (u32, u32)>) -> Vec<u32> {
+    let mut next = starts.to_vec();
+    let mut lists = vec![0; starts.last().copied().unwrap_or(0)];
+    for (key, value) in entries {
+        lists[next[key as usize]] = value;
+        next[key as usize] += 1;
+    }
+    lists
+}
+
+/// Which pairs of images were matched.
+enum TriedPairs {
+    Table { words: usize, bits: Vec<u64> },
+    Sorted(Vec<[u32; 2]>),
+}
+
+impl TriedPairs {
+    fn new(n_images: usize, pairs: &[[u32; 2]]) -> Self {
+        if n_images > MAX_TABLE {
+            let mut sorted: Vec<[u32; 2]> = pairs.iter().map(|&[a, b]| [a.min(b), a.max(b)]).collect();
+            sorted.sort_unstable();
+            return Self::Sorted(sorted);
+        }
+        let words = n_images.div_ceil(64);
+        let mut bits = vec![0u64; words * n_images];
+        for &[a, b] in pairs {
+            for (i, j) in [(a as usize, b as usize), (b as usize, a as usize)] {
+                bits[i * words + j / 64] |= 1 << (j % 64);
+            }
+        }
+        Self::Table { words, bits }
+    }
+
+    fn contains(&self, a: u32, b: u32) -> bool {
+        match self {
+            Self::Table { words, bits } => bits[a as usize * words + b as usize / 64] >> (b % 64) & 1 == 1,
+            Self::Sorted(pairs) => pairs.binary_search(&[a.min(b), a.max(b)]).is_ok(),
+        }
+    }
+}
+
+/// Joins under the conditions of the module's text.
+struct Growth<'a> {
+    clusters: Clusters<'a>,
+    graph: Neighbours,
+    tried: TriedPairs,
+    options: &'a CorrespondenceOptions,
+}
+
+impl Growth<'_> {
+    /// Joins the sets of a match unless a condition forbids it.
+    fn join(&mut self, [u, v]: [u32; 2], counted: Option<(&Links, usize)>) {
+        let (a, b) = (self.clusters.root(u), self.clusters.root(v));
+        if a == b {
+            return;
+        }
+        let known = counted.and_then(|(links, m)| links.between(&self.clusters, a, b, m));
+        let n_links = known.unwrap_or_else(|| self.clusters.n_links(a, b, &self.graph));
+        if self.are_linked(a, b, n_links) && !self.clusters.share_an_image(a, b) {
+            self.clusters.merge(a, b);
+        }
+    }
+
+    /// Whether `n_links` is enough of the matches that there could be; stops counting those when it is not.
+    fn are_linked(&self, a: u32, b: u32, n_links: usize) -> bool {
+        let c = &self.clusters;
+        let is_enough = |n_possible: usize| n_links as f64 >= self.options.min_linkage * n_possible as f64;
+        if is_enough(c.size[a as usize] as usize * c.size[b as usize] as usize) {
+            return true;
+        }
+        let mut n_possible = 0;
+        for u in ring(&c.next, a) {
+            let image = c.image[u as usize];
+            n_possible += ring(&c.next, b).filter(|&v| self.tried.contains(image, c.image[v as usize])).count();
+            if !is_enough(n_possible) {
+                return false;
+            }
+        }
+        true
+    }
+}
+
+/// How many matches there are between sets, counted at one time for all of them.
+struct Links {
+    /// Of the two sets of each match.
+    count: Vec<u32>,
+    /// Sizes of the sets when they were counted.
+    size: Vec<u32>,
+}
+
+impl Links {
+    fn new(clusters: &mut Clusters, edges: &[[u32; 2]]) -> Self {
+        let mut between: Vec<([u32; 2], [u32; 2], usize)> = Vec::new();
+        for (m, &[u, v]) in edges.iter().enumerate() {
+            let (a, b) = (clusters.root(u), clusters.root(v));
+            if a != b {
+                between.push(([a.min(b), a.max(b)], [u.min(v), u.max(v)], m));
+            }
+        }
+        between.par_sort_unstable();
+        let mut count = vec![0; edges.len()];
+        for sets in between.chunk_by(|x, y| x.0 == y.0) {
+            // a match that is given twice counts once
+            let n_links = sets.chunk_by(|x, y| x.1 == y.1).count() as u32;
+            for &(_, _, m) in sets {
+                count[m] = n_links;
+            }
+        }
+        Self { count, size: clusters.size.clone() }
+    }
+
+    /// The count of match `m`, where neither of its sets has grown since.
+    fn between(&self, clusters: &Clusters, a: u32, b: u32, m: usize) -> Option<usize> {
+        let is_as_counted = |root: u32| clusters.size[root as usize] == self.size[root as usize];
+        (is_as_counted(a) && is_as_counted(b)).then(|| self.count[m] as usize)
+    }
+}
+
+/// Disjoint sets of nodes whose members can be listed.
+struct Clusters<'a> {
+    image: &'a [u32],
+    parent: Vec<u32>,
+    size: Vec<u32>,
+    /// The next member of the same set; a ring.
+    next: Vec<u32>,
+    /// The last question in which an image was marked.
+    mark: Vec<u32>,
+    question: u32,
+}
+
+impl<'a> Clusters<'a> {
+    fn new(nodes: &'a Nodes, n_images: usize) -> Self {
+        let own: Vec<u32> = (0..nodes.image.len() as u32).collect();
+        let size = vec![1; own.len()];
+        Self { image: &nodes.image, parent: own.clone(), size, next: own, mark: vec![0; n_images], question: 0 }
+    }
+
+    fn root(&mut self, node: u32) -> u32 {
+        root_of(&mut self.parent, node)
+    }
+
+    fn merge(&mut self, a: u32, b: u32) {
+        let (large, small) = if self.size[a as usize] >= self.size[b as usize] { (a, b) } else { (b, a) };
+        self.parent[small as usize] = large;
+        self.size[large as usize] += self.size[small as usize];
+        self.next.swap(large as usize, small as usize);
+    }
+
+    /// Whether two sets hold features of one image.
+    fn share_an_image(&mut self, a: u32, b: u32) -> bool {
+        if self.question == u32::MAX {
+            self.mark.fill(0);
+            self.question = 0;
+        }
+        self.question += 1;
+        let Self { image, next, mark, question, .. } = self;
+        for u in ring(next, a) {
+            mark[image[u as usize] as usize] = *question;
+        }
+        ring(next, b).any(|v| mark[image[v as usize] as usize] == *question)
+    }
+
+    /// Number of matches between the sets of two roots.
+    fn n_links(&mut self, a: u32, b: u32, graph: &Neighbours) -> usize {
+        let (from, to) = if self.size[a as usize] < self.size[b as usize] { (a, b) } else { (b, a) };
+        let Self { parent, next, .. } = self;
+        ring(next, from).map(|u| graph.of(u).iter().filter(|&&v| root_of(parent, v) == to).count()).sum()
+    }
+
+    fn into_tracks(mut self, nodes: &Nodes, min_images: usize, n_cut: usize) -> FeatureTracks {
+        let mut tracks = FeatureTracks { n_cut, ..FeatureTracks::default() };
+        let mut done = vec![false; nodes.image.len()];
+        for node in 0..nodes.image.len() as u32 {
+            let root = self.root(node) as usize;
+            if done[root] || (self.size[root] as usize) < min_images {
+                continue;
+            }
+            done[root] = true;
+            let mut members: Vec<u32> = ring(&self.next, node).collect();
+            members.sort_unstable();
+            for member in members {
+                let image = nodes.image[member as usize];
+                tracks.image.push(image);
+                tracks.track.push(tracks.n_tracks as u32);
+                tracks.feature.push(member - nodes.first[image as usize]);
+            }
+            tracks.n_tracks += 1;
+        }
+        tracks
+    }
+}
+
+fn root_of(parent: &mut [u32], mut node: u32) -> u32 {
+    while parent[node as usize] != node {
+        let above = parent[parent[node as usize] as usize];
+        parent[node as usize] = above;
+        node = above;
+    }
+    node
+}
+
+/// Members of the set of a node, that node first.
+fn ring(next: &[u32], node: u32) -> impl Iterator<Item = u32> + '_ {
+    std::iter::successors(Some(node), move |&u| Some(next[u as usize]).filter(|&v| v != node))
+}
