@@ -47,10 +47,12 @@ fn index_pairs(array: &PyReadonlyArray2<'_, i32>, name: &str) -> PyResult<Vec<[u
     if array.ncols() != 2 {
         return Err(PyValueError::new_err(format!("{name} has {} columns, expected 2", array.ncols())));
     }
-    if let Some((k, row)) = array.rows().into_iter().enumerate().find(|(_, row)| row[0] < 0 || row[1] < 0) {
-        return Err(PyValueError::new_err(format!("{name}[{k}] is ({}, {}), expected 0 or more", row[0], row[1])));
+    let flat = array.as_slice().ok_or_else(|| PyValueError::new_err(format!("{name} is not in C order")))?;
+    let rows = flat.as_chunks::<2>().0;
+    if let Some(k) = rows.iter().position(|row| row[0] < 0 || row[1] < 0) {
+        return Err(PyValueError::new_err(format!("{name}[{k}] is {:?}, expected 0 or more", rows[k])));
     }
-    Ok(array.rows().into_iter().map(|row| [row[0].cast_unsigned(), row[1].cast_unsigned()]).collect())
+    Ok(rows.iter().map(|row| row.map(i32::cast_unsigned)).collect())
 }
 
 /// Adds this file's functions to the module.

@@ -35,7 +35,7 @@ pub struct CorrespondenceOptions {
 
 impl Default for CorrespondenceOptions {
     fn default() -> Self {
-        Self { min_images: 2, min_linkage: 0.15 }
+        Self { min_images: 2, min_linkage: 0.2 }
     }
 }
 
@@ -330,7 +330,7 @@ impl TriedPairs {
 
 /// Joins under the conditions of the module's text.
 struct Growth<'a> {
-    clusters: Clusters<'a>,
+    clusters: Clusters,
     graph: Neighbours,
     tried: TriedPairs,
     options: &'a CorrespondenceOptions,
@@ -344,7 +344,8 @@ impl Growth<'_> {
             return;
         }
         let known = counted.and_then(|(links, m)| links.between(&self.clusters, a, b, m));
-        let n_links = known.unwrap_or_else(|| self.clusters.n_links(a, b, &self.graph));
+        let enough = self.options.min_linkage * self.clusters.product(a, b);
+        let n_links = known.unwrap_or_else(|| self.clusters.n_links(a, b, &self.graph, enough));
         if self.are_linked(a, b, n_links) && !self.clusters.share_an_image(a, b) {
             self.clusters.merge(a, b);
         }
@@ -353,15 +354,14 @@ impl Growth<'_> {
     /// Whether `n_links` is enough of the matches that there could be; stops counting those when it is not.
     fn are_linked(&self, a: u32, b: u32, n_links: usize) -> bool {
         let c = &self.clusters;
-        let is_enough = |n_possible: usize| n_links as f64 >= self.options.min_linkage * n_possible as f64;
-        if is_enough(c.size[a as usize] as usize * c.size[b as usize] as usize) {
+        let is_enough = |n_possible: f64| n_links as f64 >= self.options.min_linkage * n_possible;
+        if is_enough(c.product(a, b)) {
             return true;
         }
         let mut n_possible = 0;
-        for u in ring(&c.next, a) {
-            let image = c.image[u as usize];
-            n_possible += ring(&c.next, b).filter(|&v| self.tried.contains(image, c.image[v as usize])).count();
-            if !is_enough(n_possible) {
+        for u in c.members(a) {
+            n_possible += c.members(b).iter().filter(|v| self.tried.contains(u.image, v.image)).count();
+            if !is_enough(n_possible as f64) {
                 return false;
             }
         }
@@ -405,34 +405,59 @@ impl Links {
     }
 }
 
-/// Disjoint sets of nodes whose members can be listed.
-struct Clusters<'a> {
-    image: &'a [u32],
+/// A feature in a set.
+#[derive(Clone, Copy, Default)]
+struct Member {
+    node: u32,
+    image: u32,
+}
+
+/// Disjoint sets of nodes. The members of a set lie together, since they are read far more often than sets are joined.
+struct Clusters {
     parent: Vec<u32>,
     size: Vec<u32>,
-    /// The next member of the same set; a ring.
-    next: Vec<u32>,
+    /// Where the members of each root begin in `pool`; there is room for the next power of two of them.
+    begin: Vec<usize>,
+    pool: Vec<Member>,
     /// The last question in which an image was marked.
     mark: Vec<u32>,
     question: u32,
 }
 
-impl<'a> Clusters<'a> {
-    fn new(nodes: &'a Nodes, n_images: usize) -> Self {
-        let own: Vec<u32> = (0..nodes.image.len() as u32).collect();
-        let size = vec![1; own.len()];
-        Self { image: &nodes.image, parent: own.clone(), size, next: own, mark: vec![0; n_images], question: 0 }
+impl Clusters {
+    fn new(nodes: &Nodes, n_images: usize) -> Self {
+        let n = nodes.image.len();
+        let pool = nodes.image.iter().zip(0..).map(|(&image, node)| Member { node, image }).collect();
+        let (parent, begin) = ((0..n as u32).collect(), (0..n).collect());
+        Self { parent, size: vec![1; n], begin, pool, mark: vec![0; n_images], question: 0 }
     }
 
     fn root(&mut self, node: u32) -> u32 {
         root_of(&mut self.parent, node)
     }
 
+    fn members(&self, root: u32) -> &[Member] {
+        &self.pool[self.begin[root as usize]..][..self.size[root as usize] as usize]
+    }
+
+    /// How many matches there would be between two sets if every feature were matched with every other.
+    fn product(&self, a: u32, b: u32) -> f64 {
+        f64::from(self.size[a as usize]) * f64::from(self.size[b as usize])
+    }
+
     fn merge(&mut self, a: u32, b: u32) {
         let (large, small) = if self.size[a as usize] >= self.size[b as usize] { (a, b) } else { (b, a) };
+        let (n_large, n_small) = (self.size[large as usize] as usize, self.size[small as usize] as usize);
+        if n_large + n_small > n_large.next_power_of_two() {
+            let begin = self.pool.len();
+            self.pool.resize(begin + (n_large + n_small).next_power_of_two(), Member::default());
+            self.pool.copy_within(self.begin[large as usize]..self.begin[large as usize] + n_large, begin);
+            self.begin[large as usize] = begin;
+        }
+        let (from, to) = (self.begin[small as usize], self.begin[large as usize] + n_large);
+        self.pool.copy_within(from..from + n_small, to);
         self.parent[small as usize] = large;
-        self.size[large as usize] += self.size[small as usize];
-        self.next.swap(large as usize, small as usize);
+        self.size[large as usize] += n_small as u32;
     }
 
     /// Whether two sets hold features of one image.
@@ -442,36 +467,40 @@ impl<'a> Clusters<'a> {
             self.question = 0;
         }
         self.question += 1;
-        let Self { image, next, mark, question, .. } = self;
-        for u in ring(next, a) {
-            mark[image[u as usize] as usize] = *question;
+        for u in &self.pool[self.begin[a as usize]..][..self.size[a as usize] as usize] {
+            self.mark[u.image as usize] = self.question;
         }
-        ring(next, b).any(|v| mark[image[v as usize] as usize] == *question)
+        self.members(b).iter().any(|v| self.mark[v.image as usize] == self.question)
     }
 
-    /// Number of matches between the sets of two roots.
-    fn n_links(&mut self, a: u32, b: u32, graph: &Neighbours) -> usize {
+    /// Number of matches between the sets of two roots; the count stops where it is `enough`.
+    fn n_links(&self, a: u32, b: u32, graph: &Neighbours, enough: f64) -> usize {
         let (from, to) = if self.size[a as usize] < self.size[b as usize] { (a, b) } else { (b, a) };
-        let Self { parent, next, .. } = self;
-        ring(next, from).map(|u| graph.of(u).iter().filter(|&&v| root_of(parent, v) == to).count()).sum()
+        let mut count = 0;
+        for u in self.members(from) {
+            count += graph.of(u.node).iter().filter(|&&v| find(&self.parent, v) == to).count();
+            if count as f64 >= enough {
+                break;
+            }
+        }
+        count
     }
 
     fn into_tracks(mut self, nodes: &Nodes, min_images: usize, n_cut: usize) -> FeatureTracks {
         let mut tracks = FeatureTracks { n_cut, ..FeatureTracks::default() };
         let mut done = vec![false; nodes.image.len()];
         for node in 0..nodes.image.len() as u32 {
-            let root = self.root(node) as usize;
-            if done[root] || (self.size[root] as usize) < min_images {
+            let root = self.root(node);
+            if done[root as usize] || (self.size[root as usize] as usize) < min_images {
                 continue;
             }
-            done[root] = true;
-            let mut members: Vec<u32> = ring(&self.next, node).collect();
-            members.sort_unstable();
-            for member in members {
-                let image = nodes.image[member as usize];
+            done[root as usize] = true;
+            let mut members = self.members(root).to_vec();
+            members.sort_unstable_by_key(|m| m.node);
+            for Member { node, image } in members {
                 tracks.image.push(image);
                 tracks.track.push(tracks.n_tracks as u32);
-                tracks.feature.push(member - nodes.first[image as usize]);
+                tracks.feature.push(node - nodes.first[image as usize]);
             }
             tracks.n_tracks += 1;
         }
@@ -479,6 +508,7 @@ impl<'a> Clusters<'a> {
     }
 }
 
+/// The root of a node; halves the path to it.
 fn root_of(parent: &mut [u32], mut node: u32) -> u32 {
     while parent[node as usize] != node {
         let above = parent[parent[node as usize] as usize];
@@ -488,7 +518,10 @@ fn root_of(parent: &mut [u32], mut node: u32) -> u32 {
     node
 }
 
-/// Members of the set of a node, that node first.
-fn ring(next: &[u32], node: u32) -> impl Iterator<Item = u32> + '_ {
-    std::iter::successors(Some(node), move |&u| Some(next[u as usize]).filter(|&v| v != node))
+/// The root of a node.
+fn find(parent: &[u32], mut node: u32) -> u32 {
+    while parent[node as usize] != node {
+        node = parent[node as usize];
+    }
+    node
 }

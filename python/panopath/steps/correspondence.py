@@ -20,7 +20,7 @@ class CorrespondenceOptions:
     #: Tracks seen in fewer images are left out; at least 2.
     min_images: int = 2
     #: Least share of the possible matches between two tracks that must be there to join them, from 0 to 1.
-    min_linkage: float = 0.15
+    min_linkage: float = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,6 @@ def _whole(name: str, values: npt.ArrayLike, dtype: type[np.signedinteger[Any]],
     if array.dtype.kind not in "iu":
         raise InputError(f"{name} has type {array.dtype}, expected whole numbers")
     limits = np.iinfo(dtype)
-    outside = (array < limits.min) | (array > limits.max)
-    if array.dtype != dtype and outside.any():
-        raise InputError(f"{name} holds {array[outside][0]}, expected numbers below {limits.max + 1}")
+    if array.dtype != dtype and not limits.min <= int(array.min()) <= int(array.max()) <= limits.max:
+        raise InputError(f"{name} holds {array.max()}, expected numbers below {limits.max + 1}")
     return np.ascontiguousarray(array, dtype=dtype)
