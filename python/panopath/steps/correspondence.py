@@ -27,8 +27,8 @@ class CorrespondenceOptions:
 class FeatureTracks:
     """Which features show the same point; in no track does an image have two features.
 
-    Observation ``o`` says that feature ``feature[o]`` of image ``image[o]`` belongs to track ``track[o]``. Tracks are in
-    the order of their first feature, observations of a track in the order of their images.
+    Observation ``o`` says that feature ``feature[o]`` of image ``image[o]`` belongs to track ``track[o]``. Tracks are
+    in the order of their first feature, observations of a track in the order of their images.
     """
 
     #: (N,) int32.
