@@ -50,7 +50,7 @@ class Matching:
 
 
 def ring(
-    n_images: int, n_points: int, span: int, found: float, wrong: float, kind: str = "random", seed: int = 0
+    n_images: int, n_points: int, span: int, *, found: float, wrong: float, kind: str = "random", seed: int = 0
 ) -> Matching:
     """Make matches; see the module's text. A point is in sight of about ``span`` images."""
     rng = np.random.default_rng(seed)
@@ -81,7 +81,9 @@ def ring(
             else:
                 n_wrong = round(len(common) * wrong / (1 - wrong))
                 right = np.stack((feature[a, common], feature[b, target]), axis=1)
-                false = np.stack((rng.integers(len(points[a]), size=n_wrong), rng.integers(len(points[b]), size=n_wrong)), 1)
+                false = np.stack(
+                    (rng.integers(len(points[a]), size=n_wrong), rng.integers(len(points[b]), size=n_wrong)), 1
+                )
             pairs.append((a, b))
             matches.append(rng.permutation(np.concatenate((right, false))))
     return Matching(

@@ -3,11 +3,15 @@
 from panopath import _core
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
+    Database,
+    Reconstruction,
     read_control,
+    read_database,
     read_problem,
     read_scene,
     read_tracks,
     read_truth,
+    write_models,
     write_scene,
     write_tracks,
 )
@@ -23,19 +27,29 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.steps import position_covariance, solve_positions
+from panopath.steps import (
+    CorrespondenceOptions,
+    FeatureTracks,
+    position_covariance,
+    solve_positions,
+    tracks_from_matches,
+)
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
 
 __all__ = [
     "Control",
+    "CorrespondenceOptions",
+    "Database",
     "Evaluation",
+    "FeatureTracks",
     "InputError",
     "MissingExtraError",
     "PanopathError",
     "PositionOptions",
     "Problem",
+    "Reconstruction",
     "Scene",
     "Status",
     "Summary",
@@ -45,12 +59,15 @@ __all__ = [
     "evaluate",
     "position_covariance",
     "read_control",
+    "read_database",
     "read_problem",
     "read_scene",
     "read_tracks",
     "read_truth",
     "simulate",
     "solve_positions",
+    "tracks_from_matches",
+    "write_models",
     "write_scene",
     "write_tracks",
 ]

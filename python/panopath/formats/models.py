@@ -76,7 +76,7 @@ class Reconstruction:
         triples = np.ascontiguousarray(observations)
         if triples.ndim != 2 or triples.shape[1] != 3 or triples.dtype.kind not in "iu":
             raise InputError(
-                f"observations has type {triples.dtype} and shape {triples.shape}, expected whole numbers of shape (N, 3)"
+                f"observations has type {triples.dtype} and shape {triples.shape}, expected whole numbers (N, 3)"
             )
         image, feature, point = triples.astype(np.int64).T
         for name, ids, limit in (("image", image, m), ("point", point, len(position))):
@@ -85,7 +85,7 @@ class Reconstruction:
         part = np.zeros(m, dtype=np.int64) if component is None else np.array(component)
         if part.shape != (m,) or part.dtype.kind not in "iu":
             raise InputError(f"component has type {part.dtype} and shape {part.shape}, expected whole numbers ({m},)")
-        registered: Bool = np.isfinite(center).all(axis=1) & np.isfinite(rotation).all(axis=(1, 2))
+        registered = np.isfinite(np.concatenate((center, rotation.reshape(m, 9)), axis=1)).all(axis=1)
         part = np.where(registered, part, -1).astype(np.int64)
         arrays = (rotation, center, position, image, feature, point, part)
         return cls(*(read_only(np.ascontiguousarray(array)) for array in arrays))
@@ -126,21 +126,25 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
         raise InputError("no image is registered, so there is no model to write")
     written = []
     for place, part in enumerate(parts[np.argsort(-sizes, kind="stable")].tolist()):
-        inside = used & (point_component[found.point] == part)
+        images, rows = (
+            np.flatnonzero(found.component == part),
+            np.flatnonzero(used & (point_component[found.point] == part)),
+        )
         path = Path(folder) / str(place)
-        _write_part(database, found, path, np.flatnonzero(found.component == part), np.flatnonzero(inside), error_px)
+        _write_part(database, found, path, images, rows, error_px=error_px)
         written.append(path)
     return written
 
 
 def _used(found: Reconstruction) -> tuple[Bool, Index]:
     """Observations that a model can hold, and the component of each point, -1 where no two agree on one."""
-    n_points, n_parts = len(found.points), int(found.component.max(initial=-1)) + 1
+    n_parts = int(found.component.max(initial=-1)) + 1
     part = found.component[found.image]
-    used = (part >= 0) & np.isfinite(found.points).all(axis=1)[found.point]
-    votes = np.zeros((n_points, max(n_parts, 1)), dtype=np.int64)
-    np.add.at(votes, (found.point[used], part[used]), 1)
-    point_component = np.where(votes.max(axis=1, initial=0) >= 2, votes.argmax(axis=1), -1)
+    used: Bool = np.asarray(part >= 0) & np.asarray(np.isfinite(found.points).all(axis=1))[found.point]
+    votes, counts = np.unique(found.point[used] * n_parts + part[used], return_counts=True)
+    votes = votes[counts >= 2][np.argsort(counts[counts >= 2], kind="stable")]
+    point_component = np.full(len(found.points), -1, dtype=np.int64)
+    point_component[votes // max(n_parts, 1)] = votes % max(n_parts, 1)  # the last one, which has most votes, stays
     return used & (part == point_component[found.point]), point_component
 
 
@@ -182,7 +186,7 @@ def _errors_px(database: Database, found: Reconstruction, used: Bool) -> Float:
 
 
 def _write_part(
-    database: Database, found: Reconstruction, folder: Path, images: Index, rows: Index, error_px: Float
+    database: Database, found: Reconstruction, folder: Path, images: Index, rows: Index, *, error_px: Float
 ) -> None:
     """Write one component: its images, and the observations ``rows``."""
     rows = rows[np.lexsort((found.image[rows], found.point[rows]))]
