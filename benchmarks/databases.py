@@ -3,8 +3,8 @@
 ``python -m benchmarks.databases`` makes databases, runs the peer in a process of its own and prints the table.
 
 The world is the street of ``panopath.simulate``: a walk round a block, each point seen from near by. (pycolmap's own
-``synthesize_dataset`` was tried first. It matches every point in all images whatever its track length is: with 50 images
-each point has 1,225 matches, and where a few of them are wrong the mapper joins all points into one track and gives up.)
+``synthesize_dataset`` was tried first. It matches every point in all images whatever its track length: with 50 images
+each point has 1,225 matches, and where a few of them are wrong the mapper joins all points into one track and fails.)
 Pictures are panoramas (``EQUIRECTANGULAR``), narrow pictures along the path (``PINHOLE``), or ``rig``: four pinhole
 cameras on one rig.
 
