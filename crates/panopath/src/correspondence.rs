@@ -137,18 +137,18 @@ pub fn tracks_from_matches(
     let support: Vec<u8> = edges.par_iter().map(|&[u, v]| graph.common(u, v)).collect();
     let tried = TriedPairs::new(matches.n_features.len(), matches.pairs);
     let order = pairs_by_support(matches.starts, &support);
-    let mut growth = Growth { clusters: Clusters::new(&nodes, matches.n_features.len()), graph, tried, options };
+    let mut growth = Growth { clusters: Clusters::new(&nodes), graph, tried, min_linkage: options.min_linkage };
     for level in (1..=MAX_SUPPORT as u8).rev() {
         for m in in_order(matches.starts, &order).filter(|&m| support[m] == level) {
-            growth.join(edges[m], None);
+            growth.join(edges[m], false);
         }
     }
-    // most wrong matches have no support; their tracks stand by now, and counting all joins at once saves the most time
-    let links = Links::new(&mut growth.clusters, &edges);
+    // most wrong matches have no support; by now the tracks that they would join stand, and one look refuses them all
+    let refused = growth.refused(&edges);
     for m in in_order(matches.starts, &order).filter(|&m| support[m] == 0) {
-        growth.join(edges[m], Some((&links, m)));
+        growth.join(edges[m], refused[m]);
     }
-    let mut clusters = growth.clusters;
+    let clusters = growth.clusters;
     let n_cut = edges.iter().filter(|[u, v]| clusters.root(*u) != clusters.root(*v)).count();
     Ok(clusters.into_tracks(&nodes, options.min_images, n_cut))
 }
@@ -329,32 +329,36 @@ impl TriedPairs {
 }
 
 /// Joins under the conditions of the module's text.
-struct Growth<'a> {
+struct Growth {
     clusters: Clusters,
     graph: Neighbours,
     tried: TriedPairs,
-    options: &'a CorrespondenceOptions,
+    min_linkage: f64,
 }
 
-impl Growth<'_> {
-    /// Joins the sets of a match unless a condition forbids it.
-    fn join(&mut self, [u, v]: [u32; 2], counted: Option<(&Links, usize)>) {
-        let (a, b) = (self.clusters.root(u), self.clusters.root(v));
-        if a == b {
+impl Growth {
+    /// Joins the sets of a match unless a condition forbids it. `is_refused`: it was, before any set grew.
+    fn join(&mut self, [u, v]: [u32; 2], is_refused: bool) {
+        let c = &mut self.clusters;
+        let (a, b) = (c.root_halving(u), c.root_halving(v));
+        if a == b || (is_refused && !c.has_grown[a as usize] && !c.has_grown[b as usize]) {
             return;
         }
-        let known = counted.and_then(|(links, m)| links.between(&self.clusters, a, b, m));
-        let enough = self.options.min_linkage * self.clusters.product(a, b);
-        let n_links = known.unwrap_or_else(|| self.clusters.n_links(a, b, &self.graph, enough));
-        if self.are_linked(a, b, n_links) && !self.clusters.share_an_image(a, b) {
+        let n_links = c.n_links(a, b, &self.graph, self.min_linkage * c.product(a, b));
+        if self.may_join(a, b, n_links) {
             self.clusters.merge(a, b);
         }
+    }
+
+    /// Whether two sets with `n_links` matches between them may be joined.
+    fn may_join(&self, a: u32, b: u32, n_links: usize) -> bool {
+        self.are_linked(a, b, n_links) && !self.clusters.share_an_image(a, b)
     }
 
     /// Whether `n_links` is enough of the matches that there could be; stops counting those when it is not.
     fn are_linked(&self, a: u32, b: u32, n_links: usize) -> bool {
         let c = &self.clusters;
-        let is_enough = |n_possible: f64| n_links as f64 >= self.options.min_linkage * n_possible;
+        let is_enough = |n_possible: f64| n_links as f64 >= self.min_linkage * n_possible;
         if is_enough(c.product(a, b)) {
             return true;
         }
@@ -367,41 +371,33 @@ impl Growth<'_> {
         }
         true
     }
-}
 
-/// How many matches there are between sets, counted at one time for all of them.
-struct Links {
-    /// Of the two sets of each match.
-    count: Vec<u32>,
-    /// Sizes of the sets when they were counted.
-    size: Vec<u32>,
-}
-
-impl Links {
-    fn new(clusters: &mut Clusters, edges: &[[u32; 2]]) -> Self {
+    /// Matches that would be refused now. The matches of two sets are counted and judged together, which needs no search
+    /// for them, and goes through the sets in the order in which they lie.
+    fn refused(&mut self, edges: &[[u32; 2]]) -> Vec<bool> {
+        self.clusters.has_grown.fill(false);
         let mut between: Vec<([u32; 2], [u32; 2], usize)> = Vec::new();
         for (m, &[u, v]) in edges.iter().enumerate() {
-            let (a, b) = (clusters.root(u), clusters.root(v));
+            let (a, b) = (self.clusters.root_halving(u), self.clusters.root_halving(v));
             if a != b {
                 between.push(([a.min(b), a.max(b)], [u.min(v), u.max(v)], m));
             }
         }
         between.par_sort_unstable();
-        let mut count = vec![0; edges.len()];
-        for sets in between.chunk_by(|x, y| x.0 == y.0) {
+        let sets: Vec<_> = between.chunk_by(|x, y| x.0 == y.0).collect();
+        let judge = |matches: &&[([u32; 2], [u32; 2], usize)]| {
+            let [a, b] = matches[0].0;
             // a match that is given twice counts once
-            let n_links = sets.chunk_by(|x, y| x.1 == y.1).count() as u32;
-            for &(_, _, m) in sets {
-                count[m] = n_links;
+            self.may_join(a, b, matches.chunk_by(|x, y| x.1 == y.1).count())
+        };
+        let verdicts: Vec<bool> = sets.par_iter().map(judge).collect();
+        let mut refused = vec![false; edges.len()];
+        for (matches, may_join) in sets.iter().zip(verdicts) {
+            for &(_, _, m) in *matches {
+                refused[m] = !may_join;
             }
         }
-        Self { count, size: clusters.size.clone() }
-    }
-
-    /// The count of match `m`, where neither of its sets has grown since.
-    fn between(&self, clusters: &Clusters, a: u32, b: u32, m: usize) -> Option<usize> {
-        let is_as_counted = |root: u32| clusters.size[root as usize] == self.size[root as usize];
-        (is_as_counted(a) && is_as_counted(b)).then(|| self.count[m] as usize)
+        refused
     }
 }
 
@@ -419,21 +415,33 @@ struct Clusters {
     /// Where the members of each root begin in `pool`; there is room for the next power of two of them.
     begin: Vec<usize>,
     pool: Vec<Member>,
-    /// The last question in which an image was marked.
-    mark: Vec<u32>,
-    question: u32,
+    /// Whether a set was joined to that of a root.
+    has_grown: Vec<bool>,
 }
 
 impl Clusters {
-    fn new(nodes: &Nodes, n_images: usize) -> Self {
+    fn new(nodes: &Nodes) -> Self {
         let n = nodes.image.len();
         let pool = nodes.image.iter().zip(0..).map(|(&image, node)| Member { node, image }).collect();
         let (parent, begin) = ((0..n as u32).collect(), (0..n).collect());
-        Self { parent, size: vec![1; n], begin, pool, mark: vec![0; n_images], question: 0 }
+        Self { parent, size: vec![1; n], begin, pool, has_grown: vec![false; n] }
     }
 
-    fn root(&mut self, node: u32) -> u32 {
-        root_of(&mut self.parent, node)
+    fn root(&self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            node = self.parent[node as usize];
+        }
+        node
+    }
+
+    /// The root of a node; halves the path to it.
+    fn root_halving(&mut self, mut node: u32) -> u32 {
+        while self.parent[node as usize] != node {
+            let above = self.parent[self.parent[node as usize] as usize];
+            self.parent[node as usize] = above;
+            node = above;
+        }
+        node
     }
 
     fn members(&self, root: u32) -> &[Member] {
@@ -458,27 +466,23 @@ impl Clusters {
         self.pool.copy_within(from..from + n_small, to);
         self.parent[small as usize] = large;
         self.size[large as usize] += n_small as u32;
+        self.has_grown[large as usize] = true;
     }
 
     /// Whether two sets hold features of one image.
-    fn share_an_image(&mut self, a: u32, b: u32) -> bool {
-        if self.question == u32::MAX {
-            self.mark.fill(0);
-            self.question = 0;
-        }
-        self.question += 1;
-        for u in &self.pool[self.begin[a as usize]..][..self.size[a as usize] as usize] {
-            self.mark[u.image as usize] = self.question;
-        }
-        self.members(b).iter().any(|v| self.mark[v.image as usize] == self.question)
+    fn share_an_image(&self, a: u32, b: u32) -> bool {
+        self.members(a).iter().any(|u| self.members(b).iter().any(|v| u.image == v.image))
     }
 
-    /// Number of matches between the sets of two roots; the count stops where it is `enough`.
+    /// Number of matches between two sets that have one; the count stops where it is `enough`.
     fn n_links(&self, a: u32, b: u32, graph: &Neighbours, enough: f64) -> usize {
         let (from, to) = if self.size[a as usize] < self.size[b as usize] { (a, b) } else { (b, a) };
+        if enough <= 1.0 {
+            return 1; // the one that asks
+        }
         let mut count = 0;
         for u in self.members(from) {
-            count += graph.of(u.node).iter().filter(|&&v| find(&self.parent, v) == to).count();
+            count += graph.of(u.node).iter().filter(|&&v| self.root(v) == to).count();
             if count as f64 >= enough {
                 break;
             }
@@ -486,7 +490,7 @@ impl Clusters {
         count
     }
 
-    fn into_tracks(mut self, nodes: &Nodes, min_images: usize, n_cut: usize) -> FeatureTracks {
+    fn into_tracks(self, nodes: &Nodes, min_images: usize, n_cut: usize) -> FeatureTracks {
         let mut tracks = FeatureTracks { n_cut, ..FeatureTracks::default() };
         let mut done = vec![false; nodes.image.len()];
         for node in 0..nodes.image.len() as u32 {
@@ -506,22 +510,4 @@ impl Clusters {
         }
         tracks
     }
-}
-
-/// The root of a node; halves the path to it.
-fn root_of(parent: &mut [u32], mut node: u32) -> u32 {
-    while parent[node as usize] != node {
-        let above = parent[parent[node as usize] as usize];
-        parent[node as usize] = above;
-        node = above;
-    }
-    node
-}
-
-/// The root of a node.
-fn find(parent: &[u32], mut node: u32) -> u32 {
-    while parent[node as usize] != node {
-        node = parent[node as usize];
-    }
-    node
 }
