@@ -19,7 +19,7 @@
 use rayon::prelude::*;
 
 /// Support is counted up to here: more triangles say no more, and long tracks would cost the cube of their length.
-const MAX_SUPPORT: usize = 15;
+const MAX_SUPPORT: usize = 7;
 
 /// Below this number of images, which pairs were matched is kept as a table of bits (at most 32 MB).
 const MAX_TABLE: usize = 1 << 14;
