@@ -160,6 +160,28 @@ def test_priors_that_are_not_there(copy: Path) -> None:
     np.testing.assert_array_equal(found.position_covariance[1], np.diag([1.0, 2.0, 3.0]))
 
 
+def test_positions_in_metres(made: tuple[Path, Any], copy: Path) -> None:
+    found = pp.read_database(made[0])
+    np.testing.assert_array_equal(found.local_positions(), found.position)
+    places = np.array([[47.37, 8.54, 450.0], [47.38, 8.53, 470.0], [-33.9, 151.2, 10.0]])
+    edit(
+        copy,
+        "UPDATE pose_priors SET coordinate_system = 0",
+        "UPDATE pose_priors SET position = NULL WHERE corr_data_id > 3",
+        *(
+            ("UPDATE pose_priors SET position = ? WHERE corr_data_id = ?", (place.tobytes(), i + 1))
+            for i, place in enumerate(places)
+        ),
+    )
+    local = pp.read_database(copy).local_positions()
+    expected = pycolmap.GPSTransform().ellipsoid_to_enu(places, *places[0])
+    np.testing.assert_allclose(local[:3], expected, atol=1e-6)
+    assert np.isnan(local[3:]).all()
+    edit(copy, "UPDATE pose_priors SET coordinate_system = 1 WHERE corr_data_id = 2")
+    with pytest.raises(pp.InputError, match="in WGS84 and in other coordinates"):
+        pp.read_database(copy).local_positions()
+
+
 def test_rigs(made_rig: tuple[Path, Any]) -> None:
     path, truth = made_rig
     found = pp.read_database(path)

@@ -29,6 +29,7 @@ Index = npt.NDArray[np.int64]
 
 _MAX_IMAGES = 2**31 - 1
 _CAMERA = 0
+_WGS84 = 0
 #: Seconds to wait for another program that is writing.
 _PATIENCE_S = 1.0
 _NEEDED = {
@@ -130,6 +131,30 @@ class Database:
     def has_rigs(self) -> bool:
         """Whether images share frames."""
         return self.n_frames < self.n_images
+
+    def local_positions(self) -> Float:
+        """Known positions of the images in metres.
+
+        Returns
+        -------
+        array
+            (M, 3), NaN where there are none. Those in WGS84 become east, north and up of the first of them; others are
+            as they are.
+
+        Raises
+        ------
+        InputError
+            Where some are in WGS84 and others are not.
+        """
+        known = np.isfinite(self.position).all(axis=1)
+        geographic = known & (self.position_system == _WGS84)
+        if not geographic.any():
+            return self.position.copy()
+        if (known & ~geographic).any():
+            raise InputError(f"{self.path}: has positions in WGS84 and in other coordinates, expected all alike")
+        local = np.full_like(self.position, np.nan)
+        local[known] = _east_north_up(self.position[known])
+        return local
 
     def image_poses(self, rig_from_world: npt.ArrayLike, centers: npt.ArrayLike) -> tuple[Float, Float]:
         """Poses of the images from those of the frames.
@@ -248,6 +273,27 @@ def read_database(path: str | PathLike[str], *, trust_focal_lengths: bool = Fals
         position_system=priors.system,
         gravity=priors.gravity,
     )
+
+
+def _east_north_up(lat_lon_alt: Float) -> Float:
+    """Turn degrees and metres on the WGS84 ellipsoid into metres in the tangent plane of the first position."""
+    latitude, longitude = np.radians(lat_lon_alt[:, 0]), np.radians(lat_lon_alt[:, 1])
+    altitude = lat_lon_alt[:, 2]
+    axis, flattening = 6378137.0, 1.0 / 298.257223563
+    eccentricity_2 = flattening * (2.0 - flattening)
+    normal = axis / np.sqrt(1.0 - eccentricity_2 * np.sin(latitude) ** 2)
+    horizontal = (normal + altitude) * np.cos(latitude)
+    polar = (normal * (1.0 - eccentricity_2) + altitude) * np.sin(latitude)
+    geocentric = np.stack((horizontal * np.cos(longitude), horizontal * np.sin(longitude), polar), axis=1)
+    (sin_lat, cos_lat), (sin_lon, cos_lon) = ((np.sin(a[0]), np.cos(a[0])) for a in (latitude, longitude))
+    local_from_geocentric = np.array(
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+    return np.asarray((geocentric - geocentric[0]) @ local_from_geocentric.T)
 
 
 # opening
