@@ -25,6 +25,8 @@ __all__ = [
     "position_covariance",
     "read_numbers",
     "read_table",
+    "refine",
+    "scene_covariance",
     "simulate",
     "solve_positions",
     "spherical_from_bearings",
@@ -45,6 +47,31 @@ def solve_positions(
     options: Mapping[str, Any],
     start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
 ) -> dict[str, Any]: ...
+def refine(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    sigma_rad: npt.NDArray[np.float64] | None,
+    cam_from_world: npt.NDArray[np.float64] | None,
+    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
+def scene_covariance(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    sigma_rad: npt.NDArray[np.float64] | None,
+    cam_from_world: npt.NDArray[np.float64] | None,
+    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    inlier: npt.NDArray[np.bool_] | None,
+    reference: int | None,
+    sigma: float,
+    options: Mapping[str, Any],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
 def position_covariance(
     view: npt.NDArray[np.int32],
     track: npt.NDArray[np.int32],

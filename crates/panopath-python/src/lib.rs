@@ -4,6 +4,7 @@ use pyo3::prelude::*;
 mod convert;
 mod correspondence;
 mod positions;
+mod refinement;
 mod sphere;
 mod synthetic;
 mod table;
@@ -13,6 +14,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     correspondence::register(module)?;
     positions::register(module)?;
+    refinement::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)

@@ -144,6 +144,43 @@ impl<const D: usize> Rotation<D> {
     }
 }
 
+impl<const D: usize> Rotation<D> {
+    /// Exponential of a turn: one angle in the plane, a rotation vector in space; entries that are missing are zero.
+    pub fn exp_of(turn: &[f64]) -> Self {
+        let entry = |k: usize| turn.get(k).copied().unwrap_or(0.0);
+        let matrix = if D == 2 {
+            let (sin, cos) = entry(0).sin_cos();
+            [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
+        } else {
+            Rotation::<3>::exp(&[entry(0), entry(1), entry(2)]).matrix
+        };
+        Self { matrix: std::array::from_fn(|r| std::array::from_fn(|c| matrix[r][c])) }
+    }
+
+    /// The turn whose exponential this is, of at most pi; in the plane only the first entry counts.
+    pub fn turn(&self) -> [f64; 3] {
+        let m = |r: usize, c: usize| self.matrix[r][c];
+        if D == 2 {
+            return [m(1, 0).atan2(m(0, 0)), 0.0, 0.0];
+        }
+        let entry = |k: usize| m((k + 2) % 3, (k + 1) % 3) - m((k + 1) % 3, (k + 2) % 3);
+        let axis: [f64; 3] = std::array::from_fn(entry);
+        let (sine, cosine) = (0.5 * norm(&axis), 0.5 * (m(0, 0) + m(1, 1) + m(2, 2) - 1.0));
+        let angle = sine.atan2(cosine);
+        if sine > 1e-6 {
+            return axis.map(|x| x * 0.5 * angle / sine);
+        }
+        if cosine > 0.0 {
+            return axis.map(|x| 0.5 * x);
+        }
+        // half a turn: the symmetric part is 2 a a^T - I, whose largest column holds the axis
+        let k = (0..3).fold(0, |best, c| if m(c, c) > m(best, best) { c } else { best });
+        let column: [f64; 3] = std::array::from_fn(|r| 0.5 * (m(r, k) + m(k, r)) + if r == k { 1.0 } else { 0.0 });
+        let sign = if dot(&column, &axis) < 0.0 { -1.0 } else { 1.0 };
+        scale(sign * angle, &normalized(&column))
+    }
+}
+
 impl Rotation<2> {
     /// Rotation by `angle_rad`, anticlockwise.
     pub fn from_angle(angle_rad: f64) -> Self {

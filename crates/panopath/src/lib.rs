@@ -11,14 +11,21 @@
 //! are rayon's: the same input gives the same bytes on any number of them.
 #![warn(missing_docs)]
 
+mod bundle;
 pub mod correspondence;
 pub mod geometry;
 pub mod least_squares;
 pub mod positions;
+pub mod refinement;
 pub mod sphere;
+pub mod structure;
 pub mod synthetic;
 pub mod tracks;
+pub mod view_graph;
 
 pub use geometry::{Rotation, Similarity};
-pub use positions::{PositionError, PositionOptions, Structure, solve_positions};
+pub use least_squares::LinearSolver;
+pub use positions::{PositionError, PositionOptions, solve_positions};
+pub use refinement::{RefineError, RefineOptions, refine};
+pub use structure::Structure;
 pub use tracks::{Tracks, TracksError};

@@ -75,7 +75,7 @@ def solve_positions(
         _core_options(chosen, tracks),
         None if start is None else _start(start, tracks),
     )
-    return _scene(found, tracks)
+    return scene_of(found, tracks)
 
 
 def position_covariance(
@@ -193,7 +193,8 @@ def _resolve(kind: str, table: Mapping[str | int, Any], names: tuple[str, ...] |
     return np.array(indices, dtype=np.int32)
 
 
-def _scene(found: Mapping[str, Any], tracks: Tracks) -> Scene:
+def scene_of(found: Mapping[str, Any], tracks: Tracks) -> Scene:
+    """Make a scene of what the core found."""
     view_component = np.asarray(found["view_component"], dtype=np.int32)
     track_component = np.asarray(found["track_component"], dtype=np.int32)
     inlier = np.asarray(found["inlier"], dtype=np.bool_)

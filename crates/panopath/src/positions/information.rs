@@ -4,175 +4,57 @@
 //! with the points eliminated. Its inverse, in the gauge of a fit by translation and scale over the cameras, bounds the
 //! covariance of any unbiased estimate (Cramer and Rao).
 
-use super::descent::{FitSize, NewtonWeights, point_displacement};
 use super::options::PositionError;
-use super::part::{Lanes, Part};
-use super::reduced::{Damping, ReducedSystem};
-use super::start::{Estimate, for_each_chunk, normalise};
-use super::{Members, Rays};
+use super::{Members, PositionSystem, Rays, position_system};
+use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, clear_held, weakest_mode_is_loose};
+use crate::bundle::estimate::{Estimate, normalise};
+use crate::bundle::newton::{NewtonWeights, Shifts};
+use crate::bundle::noise::median;
+use crate::bundle::part::{Lanes, Part};
+use crate::bundle::reduced::{Damping, Translations};
 use crate::geometry::{Matrix, Rotation, Vector};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 use crate::tracks::Tracks;
 
-/// An exact ambiguity seen through noise is this many times stiffer than expected, at most.
-const NOISE_MULTIPLE: f64 = 5.0;
-/// Tracks whose stretch is looked at, at most about twice this many.
-const STRETCH_TRACKS: usize = 10_000;
-/// Relative damping that keeps exact gauge freedoms factorisable.
-const GUARD: f64 = 1e-12;
-/// A mode whose movement at one standard deviation exceeds this share of the rms size of the path is not determined.
-const LOOSE_MOVEMENT: f64 = 0.3;
-/// A mode is held by the guard alone where its stiffness is less than this multiple of the guard's.
-const GUARD_MULTIPLE: f64 = 3.0;
-/// Inverse iterations; the sought mode is separated from the next by far where it matters.
-const INVERSE_ITERATIONS: usize = 6;
 /// Right-hand sides solved together when the covariance is formed.
 const BLOCK_OF_SOLVES: usize = 48;
 
 /// Assembles and factorises the information at an estimate, in units of `1/sigma^2`.
-pub(super) fn assemble_information<const D: usize>(
+fn assemble_information<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     weights: &NewtonWeights<'_, D>,
 ) -> Result<(), LeastSquaresError> {
-    system.assemble(part, weights, Damping { point: GUARD, view: GUARD });
+    system.assemble(part, weights, &Translations, &[], Damping { point: GUARD, view: GUARD });
     system.factorise()
 }
 
-/// Is the weakest mode beyond the gauge undetermined? Uses the system as it was assembled and factorised last, by
-/// [`assemble_information`] at this estimate.
-///
-/// The mode, found by inverse iteration, is loose where
-/// - fewer equations than unknowns were kept;
-/// - it moves by a large share of the path at one standard deviation;
-/// - it is held by the guard's damping alone;
-/// - its stiffness is no more than noise gives to an exact ambiguity: a deformation that stretches the segment of
-///   observation `(i, j)` by `lambda_ij` turns it, at positions that err by the noise, by about `sigma lambda_ij`, so
-///   that its squared error is `(d - 1) sum (lambda_ij - mean_j)^2` in units of sigma. (The mean over a track is taken
-///   off, since a scale of its own leaves the directions of one track exact.)
-pub(super) fn weakest_mode_is_loose<const D: usize>(
+/// Does the geometry leave a freedom beyond shift and scale, as far as the noise lets one tell?
+pub(super) fn is_loose<const D: usize>(
     part: &Part<D>,
-    system: &ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     weights: &NewtonWeights<'_, D>,
     sigma: f64,
 ) -> Result<bool, LeastSquaresError> {
-    let size = FitSize::of(part, |o| weights.keep()[o]);
-    if part.n_views < 2 || size.equations < size.unknowns {
+    if sigma.is_nan() || sigma > MEANINGLESS_RAD {
         return Ok(true);
     }
-    let Some(mode) = weakest_mode(part, system, weights.estimate())? else { return Ok(false) };
-    let stretch = stretch_of(part, weights, &mode.displacement);
-    let movement = sigma * (mode.stiffness * part.n_views as f64).powf(-0.5);
-    let from_guard = mode.stiffness < GUARD_MULTIPLE * mode.guard;
-    let from_noise = stretch.turned < NOISE_MULTIPLE * (D - 1) as f64 * sigma * sigma * stretch.spread;
-    Ok(movement.is_nan() || movement > LOOSE_MOVEMENT || from_guard || from_noise)
-}
-
-/// A displacement of all centres, free of gauge and of unit length.
-struct Mode {
-    displacement: Vec<Lanes>,
-    /// Squared error that the displacement costs, points following.
-    stiffness: f64,
-    /// The guard's share of it.
-    guard: f64,
-}
-
-/// The weakest mode, by inverse iteration; `None` where the gauge is all there is.
-fn weakest_mode<const D: usize>(
-    part: &Part<D>,
-    system: &ReducedSystem<D>,
-    estimate: &Estimate,
-) -> Result<Option<Mode>, LeastSquaresError> {
-    let gauge = GaugeBasis::<D>::new(&estimate.centers);
-    let pinned = system.pinned();
-    let diagonal: Vec<f64> = system.diagonal().iter().flat_map(|d| d.vector::<D>()).collect();
-    // any start with a share of every mode will do; this one is the same on every run
-    let mut mode: Vec<f64> = (0..part.n_views * D).map(|k| (1.0 + 2.3 * k as f64).sin()).collect();
-    let (mut stiffness, mut guard) = (f64::NAN, f64::NAN);
-    for _ in 0..INVERSE_ITERATIONS {
-        gauge.remove(&mut mode);
-        let length = dot_product(&mode, &mode).sqrt();
-        if length <= 0.0 {
-            return Ok(None);
-        }
-        mode.iter_mut().for_each(|x| *x /= length);
-        let pushed = mode.clone();
-        mode[pinned * D..(pinned + 1) * D].fill(0.0);
-        system.solve_for(&mut mode, 1)?;
-        let energy = dot_product(&mode, &pushed);
-        let held: f64 = mode.iter().zip(&diagonal).map(|(x, d)| GUARD * d * x * x).sum();
-        gauge.remove(&mut mode);
-        let squared = dot_product(&mode, &mode);
-        (stiffness, guard) = (energy / squared, held / squared);
+    match assemble_information(part, system, weights) {
+        Err(LeastSquaresError::Singular { .. }) => return Ok(true),
+        other => other?,
     }
-    let length = dot_product(&mode, &mode).sqrt();
-    let displacement = mode.chunks_exact(D).map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[c] / length)));
-    Ok(Some(Mode { displacement: displacement.collect(), stiffness, guard }))
+    let gauge = gauge_of::<D>(&weights.estimate.centers);
+    let unpack = |x: &[f64]| x.as_chunks::<D>().0.iter().map(Lanes::from_vector::<D>).collect::<Vec<Lanes>>();
+    weakest_mode_is_loose(system, weights, &gauge, |x| Shifts(unpack(x)), sigma)
 }
 
-/// What a displacement of the centres does to the kept observations, points following.
-struct Stretch {
-    /// Sum of squared turns of the segments.
-    turned: f64,
-    /// Sum of squared stretch rates, less the mean of each track.
-    spread: f64,
-}
-
-fn stretch_of<const D: usize>(part: &Part<D>, weights: &NewtonWeights<'_, D>, displacement: &[Lanes]) -> Stretch {
-    let estimate = weights.estimate();
-    let mut per_track = vec![(0.0, 0.0); part.n_tracks()];
-    // only the ratio of the two sums matters: some tracks stand for all
-    let stride = part.n_tracks().div_ceil(STRETCH_TRACKS);
-    for_each_chunk(part, &mut per_track, |tracks, out| {
-        for (j, sums) in tracks.zip(out).filter(|(j, _)| j % stride == 0) {
-            let Some(follow) = point_displacement(part, j, weights, displacement) else { continue };
-            let (mut rates, mut turned) = (Vec::new(), 0.0);
-            for o in part.observations(j).filter(|&o| weights.keep()[o]) {
-                let view = part.view[o] as usize;
-                let u = estimate.points[j].minus(&estimate.centers[view]);
-                let du = follow.minus(&displacement[view]);
-                let squared = u.dot::<D>(&u).max(f64::MIN_POSITIVE);
-                let rate = u.dot::<D>(&du) / squared;
-                let across = du.plus_scaled(-rate, &u);
-                turned += across.dot::<D>(&across) / squared * part.ray[o].0[3];
-                rates.push(rate);
-            }
-            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
-            *sums = (turned, rates.iter().map(|r| (r - mean).powi(2)).sum());
-        }
-    });
-    let (turned, spread) = per_track.into_iter().fold((0.0, 0.0), |(t, s), (turned, spread)| (t + turned, s + spread));
-    Stretch { turned, spread }
-}
-
-/// Translations and the scale of a set of centres, orthonormal.
-struct GaugeBasis<const D: usize> {
-    n: usize,
-    scale: Vec<f64>,
-}
-
-impl<const D: usize> GaugeBasis<D> {
-    fn new(centers: &[Lanes]) -> Self {
-        let mut centred = centers.to_vec();
-        normalise(&mut centred);
-        let n = centers.len();
-        let unit = 1.0 / (n as f64).sqrt();
-        Self { n, scale: centred.iter().flat_map(|c| c.times(unit).vector::<D>()).collect() }
-    }
-
-    /// Takes the gauge out of a displacement of all centres.
-    fn remove(&self, x: &mut [f64]) {
-        for c in 0..D {
-            let mean = x.iter().skip(c).step_by(D).sum::<f64>() / self.n as f64;
-            x.iter_mut().skip(c).step_by(D).for_each(|v| *v -= mean);
-        }
-        let along = dot_product(x, &self.scale);
-        x.iter_mut().zip(&self.scale).for_each(|(v, s)| *v -= along * s);
-    }
-}
-
-fn dot_product(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
+/// Translations and the scale of a set of centres.
+fn gauge_of<const D: usize>(centers: &[Lanes]) -> GaugeBasis {
+    let mut centred = centers.to_vec();
+    normalise(&mut centred);
+    let translation = |c: usize| (0..centers.len() * D).map(|k| f64::from(k % D == c)).collect();
+    let scale = centred.iter().flat_map(|c| c.vector::<D>()).collect();
+    GaugeBasis::new((0..D).map(translation).chain([scale]).collect())
 }
 
 /// Covariance of the camera centres that the noise allows (the Cramer-Rao bound) at a structure, for instance the truth.
@@ -226,10 +108,10 @@ pub fn position_covariance<const D: usize>(
         points: part.input_track.iter().map(|&t| Lanes::from_vector::<D>(&points[t as usize])).collect(),
     };
     let kept: Vec<bool> = part.input_observation.iter().map(|&o| counts[o as usize]).collect();
-    let reference = tracks.sigma_rad().map_or(sigma_rad, |s| super::start::median(&mut s.to_vec()));
-    let mut system = ReducedSystem::analyse(&part, LinearSolver::Direct)?;
+    let reference = tracks.sigma_rad().map_or(sigma_rad, |s| median(&mut s.to_vec()));
+    let mut system = position_system(&part, LinearSolver::Direct)?;
     assemble_information(&part, &mut system, &NewtonWeights::new(&part, &estimate, &kept, f64::INFINITY))?;
-    let gauge = GaugeBasis::<D>::new(&estimate.centers);
+    let gauge = gauge_of::<D>(&estimate.centers);
     let blocks = diagonal_blocks_of_inverse(&system, &gauge, part.n_views)?;
     for (&view, block) in views.iter().zip(blocks) {
         covariance[view as usize] = block.map(|row| row.map(|x| x * reference * reference));
@@ -239,12 +121,11 @@ pub fn position_covariance<const D: usize>(
 
 /// Diagonal blocks of `Q S^-1 Q^T`, `Q` the projection that takes the gauge out: by solves, a block of columns at a time.
 fn diagonal_blocks_of_inverse<const D: usize>(
-    system: &ReducedSystem<D>,
-    gauge: &GaugeBasis<D>,
+    system: &PositionSystem<D>,
+    gauge: &GaugeBasis,
     n_views: usize,
 ) -> Result<Vec<Matrix<D>>, LeastSquaresError> {
     let n = n_views * D;
-    let pinned = system.pinned() * D..(system.pinned() + 1) * D;
     let mut blocks = vec![[[0.0; D]; D]; n_views];
     for first in (0..n).step_by(BLOCK_OF_SOLVES) {
         let count = BLOCK_OF_SOLVES.min(n - first);
@@ -252,7 +133,7 @@ fn diagonal_blocks_of_inverse<const D: usize>(
         for (k, column) in columns.chunks_exact_mut(n).enumerate() {
             column[first + k] = 1.0;
             gauge.remove(column);
-            column[pinned.clone()].fill(0.0);
+            clear_held(system.held(), column);
         }
         system.solve_for(&mut columns, count)?;
         for (k, column) in columns.chunks_exact_mut(n).enumerate() {

@@ -10,8 +10,8 @@
 //! `p_1 = 1`, `|p| = 1` (smallest eigenvector), or the linear functional `sum v^T (x - c) = 1`.
 
 use super::options::{LinearForm, LinearGauge};
-use super::part::{Lanes, Part};
-use super::start::Estimate;
+use crate::bundle::estimate::Estimate;
+use crate::bundle::part::{Lanes, Part};
 use crate::geometry::{Vector, add, dot, norm, scale, sub};
 use crate::least_squares::{
     BlockPattern, LeastSquaresError, SparseCholesky, minimum_degree, scalar_slots, symmetric_eigen,

@@ -10,7 +10,12 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
+use crate::bundle::estimate::Estimate;
+use crate::bundle::noise::median;
+use crate::bundle::part::{Lanes, Part, Stations};
+use crate::bundle::reduced::{ReducedSystem, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
+use crate::least_squares::LeastSquaresError;
 use crate::tracks::Tracks;
 
 mod descent;
@@ -18,101 +23,17 @@ mod gauge;
 mod information;
 mod linear;
 mod options;
-mod part;
 mod parts;
-mod points;
-mod reduced;
 mod robust;
 mod start;
 
 pub use crate::least_squares::LinearSolver;
+pub use crate::structure::{Status, Structure, Summary, Timings};
 pub use information::position_covariance;
 pub use options::{Control, Gauge, LinearForm, LinearGauge, Method, PositionError, PositionOptions};
 
-use part::{Lanes, Part};
 use parts::{Parts, Sightings, jointly_scaled_parts};
 use robust::PartSolution;
-use start::Estimate;
-
-/// How a solver ended. A status is an answer, not an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Status {
-    /// One part, solved.
-    Converged,
-    /// Solved, but in more than one part, each with a scale of its own.
-    Disconnected,
-    /// The iterations ran out first.
-    MaxIterations,
-    /// The geometry leaves freedoms beyond the gauge, or so nearly that noise hides the difference.
-    Ambiguous,
-    /// Nothing is determined.
-    Undetermined,
-}
-
-impl Status {
-    /// The name used in files and in Python.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Converged => "converged",
-            Self::Disconnected => "disconnected",
-            Self::MaxIterations => "max_iterations",
-            Self::Ambiguous => "ambiguous",
-            Self::Undetermined => "undetermined",
-        }
-    }
-}
-
-/// Wall-clock seconds of each stage.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Timings {
-    /// World directions, parts and memory layout.
-    pub layout_s: f64,
-    /// Pattern of the reduced system and its order of elimination.
-    pub analyse_s: f64,
-    /// Linear steps and re-weighting.
-    pub start_s: f64,
-    /// Gauss-Newton and masks.
-    pub descent_s: f64,
-    /// Second split, gauge and residuals.
-    pub finish_s: f64,
-}
-
-/// What a solve did.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Summary {
-    /// How it ended.
-    pub status: Status,
-    /// Linear and Gauss-Newton steps, over all parts.
-    pub iterations: usize,
-    /// Noise estimate from the inliers of the largest part, radians in each tangent direction; with `sigma_rad` given,
-    /// that of an observation of median sigma.
-    pub sigma_rad: f64,
-    /// Number of jointly scaled parts.
-    pub n_components: usize,
-    /// Seconds of each stage.
-    pub timings: Timings,
-}
-
-/// Camera centres and points, in the gauge asked for.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Structure<const D: usize = 3> {
-    /// Camera centres; NaN where not determined.
-    pub centers: Vec<Vector<D>>,
-    /// Points; NaN where not determined.
-    pub points: Vec<Vector<D>>,
-    /// Part of each view, 0 the largest, -1 none.
-    pub view_component: Vec<i32>,
-    /// Part of each track, -1 none.
-    pub track_component: Vec<i32>,
-    /// Does the observation agree with the answer?
-    pub inlier: Vec<bool>,
-    /// Angle between each bearing and its prediction; NaN where there is none.
-    pub residual_rad: Vec<f64>,
-    /// Orientations in the output frame.
-    pub cam_from_world: Vec<Rotation<D>>,
-    /// How the solve went.
-    pub summary: Summary,
-}
 
 /// Finds camera centres and points from bearings.
 ///
@@ -222,7 +143,7 @@ impl<const D: usize> Rays<D> {
                 views.zip(tracks.bearing()).map(|(&v, b)| world_from_cam[v as usize].apply(b)).collect()
             }
         };
-        let reference = tracks.sigma_rad().map(|sigma| start::median(&mut sigma.to_vec()));
+        let reference = tracks.sigma_rad().map(|sigma| median(&mut sigma.to_vec()));
         let precision = tracks
             .sigma_rad()
             .zip(reference)
@@ -463,6 +384,20 @@ impl<const D: usize> Answer<D> {
     }
 }
 
+/// The reduced system of cameras that have a position each.
+type PositionSystem<const D: usize> = ReducedSystem<D, D, Lanes>;
+
+/// Analyses a part; the view that saw most is pinned, which takes away the common translation.
+fn position_system<const D: usize>(
+    part: &Part<D>,
+    solver: LinearSolver,
+) -> Result<PositionSystem<D>, LeastSquaresError> {
+    let mut held = vec![false; part.n_nodes * D];
+    let pinned = most_observed_node(part);
+    held[pinned * D..(pinned + 1) * D].fill(true);
+    ReducedSystem::analyse(part, solver, held)
+}
+
 /// Views and tracks of a part, in the roles that the solver gives them.
 ///
 /// Directions are all the solver knows, and reversing them exchanges views and tracks: the fewer of the two act as cameras,
@@ -507,7 +442,7 @@ impl<'a> Members<'a> {
         let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| belongs(o)).collect();
         let sign = if self.exchanged { -1.0 } else { 1.0 };
         Part::new(
-            self.cameras.len(),
+            Stations::positions::<D>(self.cameras.len()),
             n_points,
             &observations,
             point_of,

@@ -2,22 +2,19 @@
 
 use std::time::Instant;
 
-use super::descent::{
-    Effort, FIRST_OUTLIER_SIGMAS, NewtonWeights, OUTLIER_SIGMAS, chords, descend, inliers, noise_scale,
-    sigma_of_inliers,
-};
-use super::information::{assemble_information, weakest_mode_is_loose};
+use super::descent::descend;
+use super::information::is_loose;
 use super::linear::solve_linear;
 use super::options::{LinearForm, LinearGauge};
-use super::part::{Lanes, Part};
-use super::points::{reconsider, without_parallax};
-use super::reduced::ReducedSystem;
-use super::start::{Estimate, Start, StartWeights, linear_start, normalise, repair_cheirality, robust_start};
-use super::{Status, Timings};
+use super::start::{Start, StartWeights, linear_start, robust_start};
+use super::{PositionSystem, Status, Timings, position_system};
+use crate::bundle::estimate::{Estimate, scale_to_unit};
+use crate::bundle::levenberg::Effort;
+use crate::bundle::newton::NewtonWeights;
+use crate::bundle::noise::{FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, inliers, noise_scale, sigma_of_inliers};
+use crate::bundle::part::{Lanes, Part};
+use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
 use crate::least_squares::{LeastSquaresError, LinearSolver};
-
-/// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
-const MEANINGLESS_RAD: f64 = 0.2;
 
 /// Solution of one part, in its own gauge.
 pub(super) struct PartSolution {
@@ -69,7 +66,7 @@ fn solve_regular_part<const D: usize>(
     timings: &mut Timings,
 ) -> Result<PartSolution, LeastSquaresError> {
     let clock = Instant::now();
-    let mut system = ReducedSystem::analyse(part, solver)?;
+    let mut system = position_system(part, solver)?;
     timings.analyse_s += clock.elapsed().as_secs_f64();
 
     let given = start.is_some();
@@ -158,7 +155,7 @@ struct Settled {
 /// Repairs a start, then descends and judges the observations, first roughly and then in full.
 fn settle<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     mut estimate: Estimate,
     max_iterations: usize,
 ) -> Result<Settled, LeastSquaresError> {
@@ -215,7 +212,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     let chord = chords(part, &estimate);
     let sigma = noise_scale(part, &chord, |_| true);
     let inlier = inliers(part, &chord, OUTLIER_SIGMAS * sigma);
-    let mut system = ReducedSystem::analyse(part, LinearSolver::Direct)?;
+    let mut system = position_system(part, LinearSolver::Direct)?;
     let loose = is_loose(part, &mut system, &NewtonWeights::new(part, &estimate, &inlier, sigma), sigma)?
         || plan_is_loose(part, form, &estimate)?;
     let status = if loose { Status::Ambiguous } else { Status::Converged };
@@ -223,23 +220,7 @@ pub(super) fn solve_part_linearly<const D: usize>(
     Ok(PartSolution { estimate, inlier, chord, sigma, iterations: 1, status })
 }
 
-/// Does the geometry leave a freedom beyond the gauge, as far as the noise lets one tell?
-fn is_loose<const D: usize>(
-    part: &Part<D>,
-    system: &mut ReducedSystem<D>,
-    weights: &NewtonWeights<'_, D>,
-    sigma: f64,
-) -> Result<bool, LeastSquaresError> {
-    if sigma.is_nan() || sigma > MEANINGLESS_RAD {
-        return Ok(true);
-    }
-    match assemble_information(part, system, weights) {
-        Err(LeastSquaresError::Singular { .. }) => Ok(true),
-        other => other.and_then(|()| weakest_mode_is_loose(part, system, weights, sigma)),
-    }
-}
-
-/// The same of the first of two stages, which the second cannot mend.
+/// Does the first of two stages leave a freedom, which the second cannot mend?
 fn plan_is_loose<const D: usize>(
     part: &Part<D>,
     form: LinearForm,
@@ -250,32 +231,14 @@ fn plan_is_loose<const D: usize>(
     let flatten = |nodes: &[Lanes]| nodes.iter().map(|x| Lanes([x.0[axes[0]], x.0[axes[1]], 0.0, 0.0])).collect();
     let mut plan = Estimate { centers: flatten(&estimate.centers), points: flatten(&estimate.points) };
     scale_to_unit(&mut plan);
-    let flat: Part<2> = part.with_rays(|ray| {
+    let flattened = part.ray.iter().map(|ray| {
         let length = ray.0[axes[0]].hypot(ray.0[axes[1]]).max(f64::MIN_POSITIVE);
         Lanes([ray.0[axes[0]] / length, ray.0[axes[1]] / length, 0.0, ray.0[3] * length * length])
     });
+    let flat: Part<2> = part.with_rays(flattened.collect());
     let chord = chords(&flat, &plan);
     let sigma = noise_scale(&flat, &chord, |_| true);
     let keep = inliers(&flat, &chord, OUTLIER_SIGMAS * sigma);
-    let mut system = ReducedSystem::analyse(&flat, LinearSolver::Direct)?;
+    let mut system = position_system(&flat, LinearSolver::Direct)?;
     is_loose(&flat, &mut system, &NewtonWeights::new(&flat, &plan, &keep, sigma), sigma)
-}
-
-/// The kept observations less those of some tracks.
-fn without_tracks<const D: usize>(part: &Part<D>, keep: &[bool], left_out: &[bool]) -> Vec<bool> {
-    let mut active = keep.to_vec();
-    for (j, _) in left_out.iter().enumerate().filter(|(_, out)| **out) {
-        active[part.observations(j)].fill(false);
-    }
-    active
-}
-
-/// Brings a given start to the scale at which the solver works.
-fn scale_to_unit(estimate: &mut Estimate) {
-    let n = estimate.centers.len() as f64;
-    let centroid = estimate.centers.iter().fold(Lanes::ZERO, |sum, c| sum.plus(c)).times(1.0 / n);
-    let scale = normalise(&mut estimate.centers);
-    for point in &mut estimate.points {
-        *point = point.minus(&centroid).times(scale);
-    }
 }

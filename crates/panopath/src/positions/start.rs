@@ -4,64 +4,12 @@
 //! the reduced system. The first weights come from parallax alone; later ones are Geman-McClure in the chord
 //! `e = |v - (x - c)/r|`: `w = (1 + e^2/s^2)^-2 / r^2`, `omega = w r`.
 
-use rayon::prelude::*;
-
-use super::part::{Lanes, Part};
-use super::reduced::{Damping, PointSum, Quadratic, ReducedSystem, Weighing};
+use super::PositionSystem;
+use crate::bundle::estimate::{Estimate, normalise, squared_chord, squared_error, weighted_ray};
+use crate::bundle::noise::{median, sigma_from_chords};
+use crate::bundle::part::{Lanes, Part, for_each_chunk};
+use crate::bundle::reduced::{Damping, PointSum, Quadratic, Translations, Weighing};
 use crate::least_squares::LeastSquaresError;
-
-/// Where the solver stands: camera centres and points of one part.
-#[derive(Clone)]
-pub(super) struct Estimate {
-    pub centers: Vec<Lanes>,
-    pub points: Vec<Lanes>,
-}
-
-impl Estimate {
-    /// Nothing known.
-    pub fn nowhere<const D: usize>(part: &Part<D>) -> Self {
-        let nan = Lanes([f64::NAN; 4]);
-        Self { centers: vec![nan; part.n_views], points: vec![nan; part.n_tracks()] }
-    }
-}
-
-impl Estimate {
-    /// The same with every position that is not finite found from the others: a camera from the points it sees, then a
-    /// point from the cameras that see it. `None` where a camera sees too few known points.
-    pub fn completed<const D: usize>(mut self, part: &Part<D>) -> Option<Self> {
-        let known = |x: &Lanes| x.vector::<D>().iter().all(|v| v.is_finite());
-        let missing: Vec<bool> = self.centers.iter().map(|c| !known(c)).collect();
-        if missing.iter().any(|&m| m) {
-            let mut seen: Vec<(PointSum<D>, Lanes)> =
-                (0..part.n_views).map(|_| (PointSum::new(), Lanes::ZERO)).collect();
-            for j in (0..part.n_tracks()).filter(|&j| known(&self.points[j])) {
-                for o in part.observations(j).filter(|&o| missing[part.view[o] as usize]) {
-                    let (sum, right) = &mut seen[part.view[o] as usize];
-                    let model = weighted_ray(&part.ray[o], 1.0, 0.0);
-                    sum.add(&model);
-                    *right = right.plus(&model.apply::<D>(&self.points[j]));
-                }
-            }
-            for (view, (sum, right)) in seen.iter().enumerate().filter(|(view, _)| missing[*view]) {
-                self.centers[view] = sum.factor(0.0, &Lanes::ZERO).solve(right);
-                if sum.weight_sum <= 0.0 || !known(&self.centers[view]) {
-                    return None;
-                }
-            }
-        }
-        for j in (0..part.n_tracks()).filter(|&j| !known(&self.points[j])).collect::<Vec<_>>() {
-            let mut sum = PointSum::<D>::new();
-            let mut right = Lanes::ZERO;
-            for o in part.observations(j) {
-                let model = weighted_ray(&part.ray[o], 1.0, 0.0);
-                sum.add(&model);
-                right = right.plus(&model.apply::<D>(&self.centers[part.view[o] as usize]));
-            }
-            self.points[j] = sum.factor(0.0, &Lanes::ZERO).solve(&right);
-        }
-        Some(self)
-    }
-}
 
 /// Smallest noise scale, in radians: keeps weights finite on exact data.
 const SCALE_FLOOR_RAD: f64 = 2e-4;
@@ -75,38 +23,6 @@ const SCALE_TOLERANCE: f64 = 0.05;
 const MAX_ROUNDS: usize = 10;
 /// Damping of the linear steps; only guards the factorisation, since exact data leaves the scale as a null vector.
 const LINEAR_DAMPING: Damping = Damping { point: 0.0, view: 1e-12 };
-
-/// Runs `task` over the chunks of a part in parallel, each with its own slice of `out` (one entry per track).
-pub(super) fn for_each_chunk<T: Send, const D: usize>(
-    part: &Part<D>,
-    out: &mut [T],
-    task: impl Fn(std::ops::Range<usize>, &mut [T]) + Sync,
-) {
-    let mut pieces = Vec::with_capacity(part.chunks.len());
-    let mut rest = out;
-    for tracks in &part.chunks {
-        let (piece, tail) = rest.split_at_mut(tracks.len());
-        pieces.push((tracks.clone(), piece));
-        rest = tail;
-    }
-    pieces.into_par_iter().for_each(|(tracks, piece)| task(tracks, piece));
-}
-
-/// Squared chord between the ray and the predicted direction, and the reciprocal distance.
-#[inline(always)]
-pub(super) fn squared_chord<const D: usize>(ray: &Lanes, point: &Lanes, center: &Lanes) -> (f64, f64) {
-    let u = point.minus(center);
-    let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
-    let error = ray.plus_scaled(-reciprocal, &u);
-    (error.dot::<D>(&error), reciprocal)
-}
-
-/// Squared chord of an observation of a point, times its precision.
-#[inline(always)]
-pub(super) fn squared_error<const D: usize>(part: &Part<D>, o: usize, centers: &[Lanes], point: &Lanes) -> f64 {
-    let ray = &part.ray[o];
-    squared_chord::<D>(ray, point, &centers[part.view[o] as usize]).0 * ray.0[3]
-}
 
 /// One weight for each track, which needs no positions.
 struct TrackWeights<'a, const D: usize> {
@@ -148,17 +64,6 @@ impl<const D: usize> Weighing<D> for RobustWeights<'_, D> {
     fn depth_axis(&self, j: usize) -> Lanes {
         self.part.ray[self.part.start[j] as usize]
     }
-}
-
-/// Model of an observation in the linear step; both weights are multiplied by the ray's precision.
-#[inline(always)]
-fn weighted_ray(ray: &Lanes, weight: f64, omega: f64) -> Quadratic {
-    let precision = ray.0[3];
-    let mut direction = *ray;
-    direction.0[3] = weight * precision;
-    let mut gradient = ray.times(omega * precision);
-    gradient.0[3] = 0.0;
-    Quadratic { direction, gradient }
 }
 
 /// Smallest eigenvalue of `sum (I - v v^T)` over the number of rays, the mean squared parallax of each track, turned into
@@ -207,11 +112,11 @@ fn largest_eigenvalue(m: &[[f64; 3]; 3]) -> f64 {
 /// One linear step: centres from the reduced system, points from back-substitution, rms distance of the centres one.
 fn linear_step<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     weighing: &impl Weighing<D>,
 ) -> Result<Estimate, LeastSquaresError> {
-    system.assemble(part, weighing, LINEAR_DAMPING);
-    let mut centers = system.solve()?;
+    system.assemble(part, weighing, &Translations, &[], LINEAR_DAMPING);
+    let mut centers: Vec<Lanes> = system.solve()?.iter().map(Lanes::from_vector::<D>).collect();
     let scale = normalise(&mut centers);
     let mut points = vec![Lanes::ZERO; part.n_tracks()];
     for_each_chunk(part, &mut points, |tracks, points| {
@@ -260,50 +165,6 @@ fn triangulate<const D: usize>(
     sum.factor(0.0, &Lanes::ZERO).solve(&right.plus_scaled(scale, &sum.gradient))
 }
 
-/// Moves the centroid to zero and scales to rms distance one; returns the factor applied.
-pub(super) fn normalise(centers: &mut [Lanes]) -> f64 {
-    let n = centers.len() as f64;
-    let centroid = centers.iter().fold(Lanes::ZERO, |sum, c| sum.plus(c)).times(1.0 / n);
-    let squared: f64 = centers.iter().map(|c| c.minus(&centroid)).map(|c| c.dot::<3>(&c)).sum();
-    let scale = if squared > 0.0 { (n / squared).sqrt() } else { 1.0 };
-    for center in centers {
-        *center = center.minus(&centroid).times(scale);
-    }
-    scale
-}
-
-/// Noise of one tangent direction from the chords of some observations that `unknowns` were fitted to.
-///
-/// A fit with few degrees of freedom makes many residuals vanish: a share `1 - freedom` of them can be zero whatever the
-/// noise. The quantile that is looked at lies beyond these, and the residuals that remain are scaled up to the noise.
-pub(super) fn sigma_from_chords<const D: usize>(chords: &mut [f64], n_observations: usize, unknowns: usize) -> f64 {
-    let equations = ((D - 1) * n_observations) as f64;
-    let freedom = ((equations - unknowns as f64) / equations).clamp(LEAST_FREEDOM, 1.0);
-    let share = (1.0 - BEYOND_FITTED * freedom).max(0.5);
-    let place = ((share * chords.len() as f64) as usize).min(chords.len().saturating_sub(1));
-    if chords.is_empty() {
-        return 0.0;
-    }
-    let quantile = *chords.select_nth_unstable_by(place, f64::total_cmp).1;
-    quantile / (freedom.sqrt() * normal_quantile(D, share))
-}
-
-/// Share of degrees of freedom below which the noise estimate is not corrected any further.
-const LEAST_FREEDOM: f64 = 0.05;
-/// The quantile looked at is one less this share of the freedom, and the median at least.
-const BEYOND_FITTED: f64 = 0.75;
-
-/// Length that a share of normal vectors of `d - 1` unit components stays below.
-fn normal_quantile(d: usize, share: f64) -> f64 {
-    if d == 3 {
-        return (-2.0 * (1.0 - share).ln()).sqrt();
-    }
-    // one component: invert the error function (Winitzki's approximation, good to 0.2 %)
-    let (a, log) = (0.147, (1.0 - share * share).ln());
-    let half = 2.0 / (std::f64::consts::PI * a) + 0.5 * log;
-    std::f64::consts::SQRT_2 * ((half * half - log / a).sqrt() - half).sqrt()
-}
-
 /// Noise estimate in units of the reference sigma's radian, over at most some 20,000 observations of evenly spaced tracks.
 fn noise_of<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
     let tracks_per_sample = part.n_tracks().div_ceil(4_000);
@@ -312,17 +173,8 @@ fn noise_of<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
         .flat_map(|j| part.observations(j).map(move |o| (o, j)))
         .map(|(o, j)| squared_error(part, o, &estimate.centers, &estimate.points[j]).sqrt())
         .collect();
-    let unknowns = D * (part.n_tracks() + part.n_views) - D - 1;
+    let unknowns = D * part.n_tracks() + part.camera_freedom;
     sigma_from_chords::<D>(&mut chords, part.n_observations(), unknowns)
-}
-
-/// Median; zero of nothing. Reorders its argument.
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// A start and the linear steps it took.
@@ -334,7 +186,7 @@ pub(super) struct Start {
 /// Linear start from parallax weights, and re-weighting.
 pub(super) fn robust_start<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
 ) -> Result<Start, LeastSquaresError> {
     let estimate = linear_step(part, system, &parallax_weights(part))?;
     reweighted(part, system, estimate)
@@ -350,7 +202,7 @@ pub(super) enum StartWeights {
 /// The start of a single linear step, without re-weighting.
 pub(super) fn linear_start<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     weights: StartWeights,
 ) -> Result<Estimate, LeastSquaresError> {
     match weights {
@@ -361,7 +213,7 @@ pub(super) fn linear_start<const D: usize>(
 
 fn reweighted<const D: usize>(
     part: &Part<D>,
-    system: &mut ReducedSystem<D>,
+    system: &mut PositionSystem<D>,
     mut estimate: Estimate,
 ) -> Result<Start, LeastSquaresError> {
     let mut previous = f64::INFINITY;
@@ -375,38 +227,4 @@ fn reweighted<const D: usize>(
         estimate = linear_step(part, system, &weights)?;
     }
     Ok(Start { estimate, steps: MAX_ROUNDS + 1 })
-}
-
-/// Distance, in baselines of the track, beyond which depth means nothing.
-pub(super) const FAR: f64 = 300.0;
-
-/// Moves points that lie behind most of their views, or farther than [`FAR`] baselines of their track, to that distance
-/// along the mean ray.
-pub(super) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut Estimate) {
-    let Estimate { centers, points } = estimate;
-    for_each_chunk(part, points, |tracks, out| {
-        for (j, point) in tracks.zip(out) {
-            let observations = part.observations(j);
-            let count = observations.len() as f64;
-            let (mut middle, mut ray) = (Lanes::ZERO, Lanes::ZERO);
-            let mut behind = 0;
-            for o in observations.clone() {
-                let center = &centers[part.view[o] as usize];
-                middle = middle.plus_scaled(1.0 / count, center);
-                ray = ray.plus(&part.ray[o]);
-                behind += usize::from(
-                    part.ray[o].dot::<D>(&point.minus(center)).is_nan()
-                        || part.ray[o].dot::<D>(&point.minus(center)) <= 0.0,
-                );
-            }
-            let distance = |a: &Lanes| a.minus(&middle).dot::<D>(&a.minus(&middle)).sqrt();
-            let baseline = observations.map(|o| distance(&centers[part.view[o] as usize])).fold(0.0, f64::max);
-            let far = FAR * baseline;
-            if 2 * behind > count as usize || distance(point) > far {
-                let length = ray.dot::<D>(&ray).sqrt().max(f64::MIN_POSITIVE);
-                *point = middle.plus_scaled(far / length, &ray);
-                point.0[3] = 0.0;
-            }
-        }
-    });
 }

@@ -1,8 +1,9 @@
 //! Points one by one, cameras held: which of them tell nothing, and what a second look finds in those that lost rays.
 
-use super::descent::{NewtonWeights, OUTLIER_SIGMAS, chords, fit_point, inliers, intersect_rays, point_cost};
-use super::part::{Lanes, Part};
-use super::start::{Estimate, FAR, for_each_chunk, squared_error};
+use super::estimate::{Estimate, squared_error};
+use super::newton::{Residuals, fit_point, intersect_rays};
+use super::noise::{OUTLIER_SIGMAS, chords, inliers};
+use super::part::{Lanes, Part, for_each_chunk};
 
 /// A track shows parallax where the squared scatter of its rays about their mean, in units of sigma, exceeds what noise
 /// gives by this much: its inverse depth is then known to a quarter or better. Below, depth is too far from linear in the
@@ -20,7 +21,7 @@ const LOCAL_STEPS: usize = 3;
 const MAX_HYPOTHESES: usize = 12;
 
 /// Tracks whose rays are parallel within the noise.
-pub(super) struct Parallel {
+pub(crate) struct Parallel {
     /// Those that the descent leaves out: they hold no camera in place, and their depth wanders. A track stays in where one
     /// of its views sees too little else.
     pub left_out: Vec<bool>,
@@ -29,7 +30,7 @@ pub(super) struct Parallel {
 }
 
 /// Finds the tracks without parallax among the kept observations.
-pub(super) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], sigma: f64) -> Parallel {
+pub(crate) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], sigma: f64) -> Parallel {
     let mut parallel = vec![false; part.n_tracks()];
     for_each_chunk(part, &mut parallel, |tracks, out| {
         for (j, parallel) in tracks.zip(out) {
@@ -74,7 +75,7 @@ fn mean_direction<const D: usize>(part: &Part<D>, j: usize, keep: impl Fn(usize)
 ///
 /// A track without parallax is put far away along its mean ray and fitted; a track that lost most of its rays is
 /// intersected anew from pairs of them; the others are judged where they are.
-pub(super) fn reconsider<const D: usize>(
+pub(crate) fn reconsider<const D: usize>(
     part: &Part<D>,
     estimate: &mut Estimate,
     parallel: &[bool],
@@ -101,12 +102,12 @@ pub(super) fn reconsider<const D: usize>(
         (points[j], refit[j]) = (point, changed);
     }
     let keep = inliers(part, &chords(part, estimate), OUTLIER_SIGMAS * sigma);
-    let weights = NewtonWeights::new(part, estimate, &keep, sigma);
+    let residuals = Residuals::new(part, &keep, sigma);
     let mut fitted = estimate.points.clone();
     for_each_chunk(part, &mut fitted, |tracks, out| {
         for (j, point) in tracks.zip(out).filter(|(j, _)| refit[*j]) {
-            let cost = point_cost(part, j, &estimate.centers, point, &keep, weights.huber());
-            *point = fit_point(part, j, &weights, &estimate.centers, (*point, cost)).0;
+            let cost = residuals.cost(j, &estimate.centers, point);
+            *point = fit_point(&residuals, j, &estimate.centers, (*point, cost)).0;
         }
     });
     estimate.points = fitted;
@@ -152,7 +153,7 @@ fn best_hypothesis<const D: usize>(
     let mut best = (truncated_cost(part, j, centers, point, limit), None);
     for (i, k) in pairs.take(MAX_HYPOTHESES) {
         let pair = [observations.start + i, observations.start + k];
-        if part.view[pair[0]] == part.view[pair[1]] {
+        if part.node_of(pair[0]) == part.node_of(pair[1]) {
             continue;
         }
         // two rays fix a point coarsely: those that pass it by a little more than the limit fix it better
@@ -168,4 +169,47 @@ fn best_hypothesis<const D: usize>(
         }
     }
     best.1
+}
+
+/// Distance, in baselines of the track, beyond which depth means nothing.
+pub(crate) const FAR: f64 = 300.0;
+
+/// Moves points that lie behind most of their views, or farther than [`FAR`] baselines of their track, to that distance
+/// along the mean ray.
+pub(crate) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut Estimate) {
+    let Estimate { centers, points } = estimate;
+    for_each_chunk(part, points, |tracks, out| {
+        for (j, point) in tracks.zip(out) {
+            let observations = part.observations(j);
+            let count = observations.len() as f64;
+            let (mut middle, mut ray) = (Lanes::ZERO, Lanes::ZERO);
+            let mut behind = 0;
+            for o in observations.clone() {
+                let center = &centers[part.view[o] as usize];
+                middle = middle.plus_scaled(1.0 / count, center);
+                ray = ray.plus(&part.ray[o]);
+                behind += usize::from(
+                    part.ray[o].dot::<D>(&point.minus(center)).is_nan()
+                        || part.ray[o].dot::<D>(&point.minus(center)) <= 0.0,
+                );
+            }
+            let distance = |a: &Lanes| a.minus(&middle).dot::<D>(&a.minus(&middle)).sqrt();
+            let baseline = observations.map(|o| distance(&centers[part.view[o] as usize])).fold(0.0, f64::max);
+            let far = FAR * baseline;
+            if 2 * behind > count as usize || distance(point) > far {
+                let length = ray.dot::<D>(&ray).sqrt().max(f64::MIN_POSITIVE);
+                *point = middle.plus_scaled(far / length, &ray);
+                point.0[3] = 0.0;
+            }
+        }
+    });
+}
+
+/// The kept observations less those of some tracks.
+pub(crate) fn without_tracks<const D: usize>(part: &Part<D>, keep: &[bool], left_out: &[bool]) -> Vec<bool> {
+    let mut active = keep.to_vec();
+    for (j, _) in left_out.iter().enumerate().filter(|(_, out)| **out) {
+        active[part.observations(j)].fill(false);
+    }
+    active
 }

@@ -1,7 +1,7 @@
 //! Sparse symmetric positive definite systems `S x = b`, the pattern analysed once and the values factorised many times.
 //!
 //! `S` is made of dense `D x D` blocks, one for each pair of coupled nodes. The nodes are ordered by approximate minimum
-//! degree on the block graph, and the order is expanded to scalars. This is the only file that names faer.
+//! degree on the block graph, and the order is expanded to scalars. This folder alone names faer.
 //!
 //! Same values, same bytes: the factorisation is told a fixed degree of parallelism, whatever the number of threads.
 
@@ -16,6 +16,10 @@ use faer::{Conj, MatMut, Par, Side};
 use rayon::prelude::*;
 
 use crate::geometry::{Matrix, Rotation, Vector};
+
+mod inverse;
+
+pub use inverse::SelectedInverse;
 
 /// Why a system could not be solved.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -105,6 +109,14 @@ impl SparseCholesky {
     /// # Errors
     /// [`LeastSquaresError::TooLarge`].
     pub fn analyse<const D: usize>(pattern: &BlockPattern, ordering: &Ordering) -> Result<Self, LeastSquaresError> {
+        Self::analyse_with::<D>(pattern, ordering, CholeskySymbolicParams::default())
+    }
+
+    fn analyse_with<const D: usize>(
+        pattern: &BlockPattern,
+        ordering: &Ordering,
+        params: CholeskySymbolicParams<'_>,
+    ) -> Result<Self, LeastSquaresError> {
         let n = pattern.n_nodes() * D;
         let (col_ptr, row_idx) = scalar_pattern::<D>(pattern);
         let expand = |perm: &[u32]| -> Vec<u32> {
@@ -113,13 +125,8 @@ impl SparseCholesky {
         let (forward, inverse) = (expand(&ordering.forward), expand(&ordering.inverse));
         let matrix = SymbolicSparseColMatRef::new_checked(n, n, &col_ptr, None, &row_idx);
         let perm = faer::perm::PermRef::new_checked(&forward, &inverse, n);
-        let symbolic = factorize_symbolic_cholesky(
-            matrix,
-            Side::Lower,
-            SymmetricOrdering::Custom(perm),
-            CholeskySymbolicParams::default(),
-        )
-        .map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+        let symbolic = factorize_symbolic_cholesky(matrix, Side::Lower, SymmetricOrdering::Custom(perm), params)
+            .map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
         let par = if ordering.factor_flops > PARALLEL_FLOPS { Par::rayon(FACTOR_PARALLELISM) } else { Par::Seq };
         let factor_scratch = symbolic.factorize_numeric_llt_scratch::<f64>(par, Default::default());
         let memory = MemBuffer::try_new(factor_scratch).map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
@@ -396,7 +403,7 @@ impl<const D: usize> BlockProduct<D> {
 }
 
 /// Inverse of a small symmetric positive definite matrix, by Gauss and Jordan; `None` where a pivot is not positive.
-fn inverse_of_positive<const D: usize>(m: &Matrix<D>) -> Option<Matrix<D>> {
+pub(crate) fn inverse_of_positive<const D: usize>(m: &Matrix<D>) -> Option<Matrix<D>> {
     let mut a = *m;
     for p in 0..D {
         let pivot = a[p][p];

@@ -1,13 +1,16 @@
 //! One jointly scaled part of the input, laid out for the solver: observations by track, sorted by view.
 
-use std::ops::Range;
+use std::ops::{Deref, Range};
+use std::sync::Arc;
+
+use rayon::prelude::*;
 
 use crate::geometry::Vector;
 
 /// Four numbers in one register: a vector padded with zeros, with room for a weight in the last lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(32))]
-pub(super) struct Lanes(pub [f64; 4]);
+pub(crate) struct Lanes(pub [f64; 4]);
 
 impl Lanes {
     pub const ZERO: Self = Self([0.0; 4]);
@@ -61,14 +64,19 @@ const CHUNK_OBSERVATIONS: usize = 8_192;
 /// Most chunks; a constant, so that sums do not depend on the number of threads.
 const MAX_CHUNKS: usize = 32;
 
-/// A part: observation `o` of track `j` (`start[j] <= o < start[j + 1]`) was made by `view[o]` along `ray[o]`, a world
-/// direction whose lane 3 holds the precision relative to the reference sigma.
-pub(super) struct Part<const D: usize> {
+/// Which observations there are: observation `o` of track `j` (`start[j] <= o < start[j + 1]`) was made by the station
+/// `view[o]`.
+pub(crate) struct Layout {
+    /// Number of stations.
     pub n_views: usize,
     pub start: Vec<u32>,
     pub view: Vec<u32>,
-    pub ray: Vec<Lanes>,
-    /// True where a view saw a point more than once.
+    /// Node of each station, ascending.
+    pub node: Vec<u32>,
+    pub n_nodes: usize,
+    /// Unknowns of all cameras, less those of the gauge.
+    pub camera_freedom: usize,
+    /// True where a node saw a point more than once.
     pub has_repeats: bool,
     /// Runs of tracks that are summed apart and then added in this order.
     pub chunks: Vec<Range<usize>>,
@@ -78,7 +86,7 @@ pub(super) struct Part<const D: usize> {
     pub input_observation: Vec<u32>,
 }
 
-impl<const D: usize> Part<D> {
+impl Layout {
     pub fn n_tracks(&self) -> usize {
         self.start.len() - 1
     }
@@ -92,18 +100,48 @@ impl<const D: usize> Part<D> {
         self.start[j] as usize..self.start[j + 1] as usize
     }
 
+    /// Node that made an observation.
+    #[inline(always)]
+    pub fn node_of(&self, o: usize) -> u32 {
+        self.node[self.view[o] as usize]
+    }
+}
+
+/// A part: a layout with the ray of each observation, a world direction whose lane 3 holds the precision relative to the
+/// reference sigma.
+#[derive(Clone)]
+pub(crate) struct Part<const D: usize> {
+    layout: Arc<Layout>,
+    pub ray: Vec<Lanes>,
+}
+
+impl<const D: usize> Deref for Part<D> {
+    type Target = Layout;
+
+    #[inline(always)]
+    fn deref(&self) -> &Layout {
+        &self.layout
+    }
+}
+
+/// Stations of a part, the nodes that they belong to, and how free these are.
+pub(crate) struct Stations {
+    /// Node of each station, ascending.
+    pub node: Vec<u32>,
+    pub camera_freedom: usize,
+}
+
+impl Stations {
+    /// Each station is a node of its own with an unknown position of `D` coordinates.
+    pub fn positions<const D: usize>(n: usize) -> Self {
+        Self { node: (0..n as u32).collect(), camera_freedom: (D * n).saturating_sub(D + 1) }
+    }
+}
+
+impl<const D: usize> Part<D> {
     /// The same observations with other rays.
-    pub fn with_rays<const E: usize>(&self, ray: impl Fn(&Lanes) -> Lanes) -> Part<E> {
-        Part {
-            n_views: self.n_views,
-            start: self.start.clone(),
-            view: self.view.clone(),
-            ray: self.ray.iter().map(ray).collect(),
-            has_repeats: self.has_repeats,
-            chunks: self.chunks.clone(),
-            input_track: self.input_track.clone(),
-            input_observation: self.input_observation.clone(),
-        }
+    pub fn with_rays<const E: usize>(&self, ray: Vec<Lanes>) -> Part<E> {
+        Part { layout: Arc::clone(&self.layout), ray }
     }
 
     /// Lays out these observations of the input, with their local views and rays.
@@ -111,7 +149,7 @@ impl<const D: usize> Part<D> {
     /// Tracks are ordered by their first view, so that neighbours in memory touch neighbouring blocks of the reduced
     /// system.
     pub fn new(
-        n_views: usize,
+        stations: Stations,
         n_tracks: usize,
         observations: &[u32],
         track_of: &[u32],
@@ -125,6 +163,7 @@ impl<const D: usize> Part<D> {
             length[j] += 1;
             first[j] = first[j].min(local_view(o as usize));
         }
+        let n_views = stations.node.len();
         let input_track = order_by_first_view(n_views, &first);
         let mut place = vec![u32::MAX; n_tracks];
         let mut start = vec![0u32; input_track.len() + 1];
@@ -145,12 +184,27 @@ impl<const D: usize> Part<D> {
         for j in 0..input_track.len() {
             let run = &mut input_observation[start[j] as usize..start[j + 1] as usize];
             run.sort_unstable_by_key(|&o| (local_view(o as usize), o));
-            has_repeats |= run.windows(2).any(|w| local_view(w[0] as usize) == local_view(w[1] as usize));
+            let node = |o: u32| stations.node[local_view(o as usize) as usize];
+            has_repeats |= run.windows(2).any(|w| node(w[0]) == node(w[1]));
         }
         let view = input_observation.iter().map(|&o| local_view(o as usize)).collect();
         let ray = input_observation.iter().map(|&o| ray(o as usize)).collect();
         let chunks = split_evenly(&start);
-        Self { n_views, start, view, ray, has_repeats, chunks, input_track, input_observation }
+        let Stations { node, camera_freedom } = stations;
+        let n_nodes = node.last().map_or(0, |&last| last as usize + 1);
+        let layout = Layout {
+            n_views,
+            start,
+            view,
+            node,
+            n_nodes,
+            camera_freedom,
+            has_repeats,
+            chunks,
+            input_track,
+            input_observation,
+        };
+        Self { layout: Arc::new(layout), ray }
     }
 }
 
@@ -198,4 +252,20 @@ fn split_evenly(start: &[u32]) -> Vec<Range<usize>> {
         begin = end;
     }
     chunks
+}
+
+/// Runs `task` over the chunks of a part in parallel, each with its own slice of `out` (one entry per track).
+pub(crate) fn for_each_chunk<T: Send, const D: usize>(
+    part: &Part<D>,
+    out: &mut [T],
+    task: impl Fn(std::ops::Range<usize>, &mut [T]) + Sync,
+) {
+    let mut pieces = Vec::with_capacity(part.chunks.len());
+    let mut rest = out;
+    for tracks in &part.chunks {
+        let (piece, tail) = rest.split_at_mut(tracks.len());
+        pieces.push((tracks.clone(), piece));
+        rest = tail;
+    }
+    pieces.into_par_iter().for_each(|(tracks, piece)| task(tracks, piece));
 }

@@ -1,0 +1,178 @@
+//! Cameras that turn and move, and what that does to rays.
+//!
+//! A view has `cam_from_world = R` and the centre `c`. Its unknowns are a turn `omega` in the world and a shift:
+//! `R <- R exp(omega)`, `c <- c + dc` (the same turn in the camera, on the left, is `phi = R omega`). A bearing `b` that starts
+//! at the lever arm `a` in the view's frame is the ray `v = R^T b` from the station `s = c + R^T a`. The turn takes
+//! both with it: `dv = v x omega`, `ds = dc + (s - c) x omega`. Seen from a point `x` that is met along `u = x - s`,
+//! the residual `v - u/|u|` changes as if the station had moved by `q = dc + (x - c) x omega`, up to second order in the
+//! residual: `K = [[x - c]_x, I]`.
+
+use rayon::prelude::*;
+
+use crate::bundle::newton::CameraStep;
+use crate::bundle::part::{Lanes, Layout, Part};
+use crate::bundle::reduced::{Freedoms, Row};
+use crate::geometry::{Rotation, Vector, apply};
+
+/// Where the nodes of a part stand and how they are turned.
+#[derive(Clone)]
+pub(super) struct Poses<const D: usize> {
+    pub cam_from_world: Vec<Rotation<D>>,
+    pub centers: Vec<Lanes>,
+}
+
+/// What the views measured, in their own frames.
+pub(super) struct Sights<const D: usize> {
+    /// Bearing of each observation of a part, with its precision in lane 3.
+    pub bearing: Vec<Lanes>,
+    /// Lever arm of each station.
+    pub lever: Vec<Vector<D>>,
+}
+
+impl<const D: usize> Sights<D> {
+    /// Rays in the world, as the poses turn them.
+    pub fn rays(&self, layout: &Layout, poses: &Poses<D>) -> Vec<Lanes> {
+        let world_from_cam: Vec<Rotation<D>> = poses.cam_from_world.iter().map(Rotation::inverse).collect();
+        let turn = |(o, bearing): (usize, &Lanes)| {
+            let world_from_cam = world_from_cam[layout.node_of(o) as usize].matrix();
+            let mut ray = Lanes::from_vector::<D>(&apply(world_from_cam, &bearing.vector::<D>()));
+            ray.0[3] = bearing.0[3];
+            ray
+        };
+        self.bearing.par_iter().enumerate().with_min_len(4096).map(turn).collect()
+    }
+
+    /// Where the stations are.
+    pub fn stations(&self, layout: &Layout, poses: &Poses<D>) -> Vec<Lanes> {
+        let at = |(lever, &node): (&Vector<D>, &u32)| {
+            let arm = poses.cam_from_world[node as usize].inverse().apply(lever);
+            poses.centers[node as usize].plus(&Lanes::from_vector::<D>(&arm))
+        };
+        self.lever.iter().zip(&layout.node).map(at).collect()
+    }
+}
+
+impl<const D: usize> Poses<D> {
+    /// The poses after a step.
+    pub fn moved<const V: usize>(&self, step: &[[f64; V]]) -> Self {
+        let turned = self.cam_from_world.iter().zip(step).map(|(r, x)| r.compose(&turn_of::<D, V>(x)));
+        let moved = self.centers.iter().zip(step).map(|(c, x)| c.plus(&shift_of::<D, V>(x)));
+        Self { cam_from_world: turned.collect(), centers: moved.collect() }
+    }
+}
+
+/// Components of a turn: one in the plane, three in space.
+pub(super) const fn turns(d: usize) -> usize {
+    d * (d - 1) / 2
+}
+
+/// Rotation by the first unknowns of a camera.
+pub(super) fn turn_of<const D: usize, const V: usize>(x: &[f64; V]) -> Rotation<D> {
+    Rotation::exp_of(&x[..turns(D)])
+}
+
+/// The unknowns that follow them.
+pub(super) fn shift_of<const D: usize, const V: usize>(x: &[f64; V]) -> Lanes {
+    Lanes::from_vector::<D>(&std::array::from_fn(|c| x[turns(D) + c]))
+}
+
+/// A row of a block of poses: at most six numbers.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct PoseRow([f64; 8]);
+
+impl Row for PoseRow {
+    const ZERO: Self = Self([0.0; 8]);
+
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        Self(std::array::from_fn(|c| self.0[c] + other.0[c]))
+    }
+
+    #[inline(always)]
+    fn plus_scaled(&self, s: f64, other: &Self) -> Self {
+        Self(std::array::from_fn(|c| self.0[c] + s * other.0[c]))
+    }
+
+    #[inline(always)]
+    fn at(&self, k: usize) -> f64 {
+        self.0[k]
+    }
+}
+
+/// Cameras that turn and move about the given centres.
+pub(super) struct Turns<'a, const D: usize> {
+    pub part: &'a Part<D>,
+    pub centers: &'a [Lanes],
+    pub points: &'a [Lanes],
+    /// Tracks whose point stays; empty for none.
+    pub held: &'a [bool],
+}
+
+impl<const D: usize> Turns<'_, D> {
+    /// `x - c`.
+    #[inline(always)]
+    fn arm(&self, o: usize, j: usize) -> Lanes {
+        self.points[j].minus(&self.centers[self.part.node_of(o) as usize])
+    }
+}
+
+impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
+    type Row = PoseRow;
+
+    #[inline(always)]
+    fn lift(&self, o: usize, j: usize, row: &Lanes) -> PoseRow {
+        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
+        let Lanes([x, y, z, _]) = *row;
+        if D == 2 {
+            PoseRow([x * dy - y * dx, x, y, 0.0, 0.0, 0.0, 0.0, 0.0])
+        } else {
+            PoseRow([y * dz - z * dy, z * dx - x * dz, x * dy - y * dx, x, y, z, 0.0, 0.0])
+        }
+    }
+
+    #[inline(always)]
+    fn lift_rows(&self, o: usize, j: usize, rows: &[PoseRow; D]) -> [PoseRow; V] {
+        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
+        let mut lifted = [PoseRow::ZERO; V];
+        let zero = PoseRow::ZERO;
+        if D == 2 {
+            lifted[0] = zero.plus_scaled(dy, &rows[0]).plus_scaled(-dx, &rows[1]);
+        } else {
+            lifted[0] = zero.plus_scaled(dz, &rows[1]).plus_scaled(-dy, &rows[2]);
+            lifted[1] = zero.plus_scaled(dx, &rows[2]).plus_scaled(-dz, &rows[0]);
+            lifted[2] = zero.plus_scaled(dy, &rows[0]).plus_scaled(-dx, &rows[1]);
+        }
+        lifted[turns(D)..turns(D) + D].copy_from_slice(rows);
+        lifted
+    }
+
+    #[inline(always)]
+    fn holds_point(&self, j: usize) -> bool {
+        self.held.get(j).copied().unwrap_or(false)
+    }
+}
+
+/// A step of all poses, as points see it.
+pub(super) struct PoseStep<'a, const D: usize, const V: usize> {
+    pub layout: &'a Layout,
+    pub centers: &'a [Lanes],
+    pub step: Vec<[f64; V]>,
+}
+
+impl<const D: usize, const V: usize> CameraStep for PoseStep<'_, D, V> {
+    #[inline(always)]
+    fn displacement(&self, station: usize, point: &Lanes) -> Lanes {
+        let node = self.layout.node[station] as usize;
+        let step = &self.step[node];
+        let Lanes([dx, dy, dz, _]) = point.minus(&self.centers[node]);
+        if D == 2 {
+            let turn = step[0];
+            Lanes([step[1] + turn * dy, step[2] - turn * dx, 0.0, 0.0])
+        } else {
+            let (x, y, z) = (step[0], step[1], step[2]);
+            let shift = shift_of::<D, V>(step);
+            shift.plus(&Lanes([dy * z - dz * y, dz * x - dx * z, dx * y - dy * x, 0.0]))
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! What is known of views beforehand, as terms of the camera system.
+//!
+//! With `e` the error of a prior and `H` its information, the squared error `e^T H e` counts in units of the bearings'
+//! sigma. Huber's rule holds for priors too, in standard deviations. Errors and their derivatives by the unknowns
+//! `(omega, dc)` of a camera:
+//!
+//! | prior | error | derivative |
+//! |---|---|---|
+//! | orientation `P` | `rho = log(R P^T)`, in the camera | `J_l(rho)^-1 R` by `omega` |
+//! | direction `d`, measured along `b` | `R^T b - d` across `d` | `[d]_x` by `omega` |
+//! | position `p` | `c - p` | `I` by `dc` |
+
+use super::options::{DirectionPrior, PositionPrior, Priors, RefineError, RotationPrior};
+use super::poses::{Poses, turns};
+use crate::bundle::newton::{huber_cost, huber_weight};
+use crate::bundle::reduced::CameraTerm;
+use crate::geometry::{Matrix, Rotation, Similarity, Vector, dot, norm, sub};
+use crate::least_squares::inverse_of_positive;
+
+/// Error, its derivative by the unknowns of the camera, and the information: of at most three rows.
+struct Model<const V: usize> {
+    node: u32,
+    error: [f64; 3],
+    derivative: [[f64; V]; 3],
+    information: [[f64; 3]; 3],
+}
+
+/// Priors of the views of one part, by node.
+pub(super) struct PartPriors<const D: usize> {
+    rotations: Vec<(u32, Rotation<D>, [[f64; 3]; 3])>,
+    directions: Vec<(u32, DirectionPrior<D>)>,
+    positions: Vec<(u32, Vector<D>, [[f64; 3]; 3])>,
+    huber_sigmas: f64,
+}
+
+impl<const D: usize> PartPriors<D> {
+    /// Those of the views that `node_of` knows, in the frame of the piece.
+    pub fn of(
+        priors: &Priors<D>,
+        node_of: impl Fn(u32) -> Option<u32>,
+        piece_from_world: &Similarity<D>,
+        huber_sigmas: f64,
+    ) -> Result<Self, RefineError> {
+        let mut found = Self { rotations: vec![], directions: vec![], positions: vec![], huber_sigmas };
+        for (index, prior) in priors.rotations.iter().enumerate() {
+            if let Some(node) = node_of(prior.view) {
+                let information =
+                    information_of(&prior.covariance, turns(D)).ok_or_else(|| not_positive("rotation", index))?;
+                found.rotations.push((node, prior.cam_from_world, information));
+            }
+        }
+        for prior in &priors.directions {
+            found.directions.extend(node_of(prior.view).map(|node| (node, prior.clone())));
+        }
+        for (index, prior) in priors.positions.iter().enumerate() {
+            if let Some(node) = node_of(prior.view) {
+                let information =
+                    information_of(&prior.covariance, D).ok_or_else(|| not_positive("position", index))?;
+                let per_unit = information.map(|row| row.map(|x| x / piece_from_world.scale.powi(2)));
+                found.positions.push((node, piece_from_world.apply(&prior.center), per_unit));
+            }
+        }
+        Ok(found)
+    }
+
+    /// Does any fix an orientation altogether?
+    pub fn fix_rotation(&self) -> bool {
+        !self.rotations.is_empty() || self.directions.len() > 1 && !self.directions_are_parallel()
+    }
+
+    /// The direction of the world that is measured, where there is just one.
+    pub fn only_direction(&self) -> Option<Vector<D>> {
+        let first = self.directions.first()?;
+        (self.rotations.is_empty() && self.directions_are_parallel()).then_some(first.1.direction)
+    }
+
+    fn directions_are_parallel(&self) -> bool {
+        const PARALLEL: f64 = 1e-3;
+        self.directions.iter().all(|(_, d)| 1.0 - dot(&d.direction, &self.directions[0].1.direction).abs() < PARALLEL)
+    }
+
+    /// Nodes with a known position, and where, in the frame of the piece.
+    pub fn positions(&self) -> impl Iterator<Item = (u32, Vector<D>)> {
+        self.positions.iter().map(|(node, center, _)| (*node, *center))
+    }
+
+    fn models<const V: usize>(&self, poses: &Poses<D>) -> Vec<Model<V>> {
+        let rotations = self.rotations.iter().map(|(node, prior, information)| {
+            let cam_from_world = &poses.cam_from_world[*node as usize];
+            let error = cam_from_world.compose(&prior.inverse()).turn();
+            let derivative = turn_derivative::<D, V>(&error, cam_from_world);
+            Model { node: *node, error, derivative, information: *information }
+        });
+        let directions = self
+            .directions
+            .iter()
+            .map(|(node, prior)| direction_model(*node, prior, &poses.cam_from_world[*node as usize]));
+        let positions = self.positions.iter().map(|(node, prior, information)| {
+            let difference = sub(&poses.centers[*node as usize].vector::<D>(), prior);
+            let mut derivative = [[0.0; V]; 3];
+            (0..D).for_each(|c| derivative[c][turns(D) + c] = 1.0);
+            Model { node: *node, error: padded(&difference), derivative, information: *information }
+        });
+        rotations.chain(directions).chain(positions).collect()
+    }
+
+    /// Terms of the camera system, in units of squared radians where the bearings' noise is `sigma`.
+    pub fn terms<const V: usize>(&self, poses: &Poses<D>, sigma: f64) -> Vec<CameraTerm<V>> {
+        let term = |model: Model<V>| {
+            let weight = sigma * sigma * huber_weight(model.squared(), self.huber_sigmas);
+            let weighted: [[f64; V]; 3] = std::array::from_fn(|r| {
+                std::array::from_fn(|c| {
+                    weight * (0..3).map(|k| model.information[r][k] * model.derivative[k][c]).sum::<f64>()
+                })
+            });
+            let column = |c: usize| (0..3).map(|r| model.error[r] * weighted[r][c]).sum::<f64>();
+            CameraTerm {
+                node: model.node,
+                information: std::array::from_fn(|r| {
+                    std::array::from_fn(|c| (0..3).map(|k| model.derivative[k][r] * weighted[k][c]).sum())
+                }),
+                gradient: std::array::from_fn(|c| -column(c)),
+            }
+        };
+        self.models(poses).into_iter().map(term).collect()
+    }
+
+    /// Their part of the cost, in the same units.
+    pub fn cost(&self, poses: &Poses<D>, sigma: f64) -> f64 {
+        // the number of unknowns makes no difference to the errors
+        let models = self.models::<6>(poses);
+        models.iter().map(|model| sigma * sigma * huber_cost(model.squared(), self.huber_sigmas)).sum()
+    }
+}
+
+impl<const V: usize> Model<V> {
+    fn squared(&self) -> f64 {
+        (0..3).map(|r| self.error[r] * dot(&self.information[r], &self.error)).sum()
+    }
+}
+
+fn direction_model<const D: usize, const V: usize>(
+    node: u32,
+    prior: &DirectionPrior<D>,
+    cam_from_world: &Rotation<D>,
+) -> Model<V> {
+    let d = &prior.direction;
+    let measured = cam_from_world.inverse().apply(&prior.bearing);
+    let mut error: Vector<D> = sub(&measured, d);
+    let along = dot(&error, d);
+    // straight across, the chord of an error of more than a right angle would shrink again: its length is kept
+    let across: Vector<D> = std::array::from_fn(|c| error[c] - along * d[c]);
+    let length = norm(&across);
+    if length > 0.0 {
+        let chord = norm(&error);
+        error = std::array::from_fn(|c| across[c] * chord / length);
+    }
+    let mut derivative = [[0.0; V]; 3];
+    if D == 2 {
+        derivative[0][0] = d[1];
+        derivative[1][0] = -d[0];
+    } else {
+        let [x, y, z] = padded(d);
+        for (r, row) in [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]].iter().enumerate() {
+            derivative[r][..3].copy_from_slice(row);
+        }
+    }
+    let weight = prior.sigma_rad.powi(-2);
+    let information = std::array::from_fn(|r| std::array::from_fn(|c| if r == c { weight } else { 0.0 }));
+    Model { node, error: padded(&error), derivative, information }
+}
+
+/// Derivative of `log(R exp(omega) P^T)` by `omega`: `J_l(rho)^-1 R`.
+fn turn_derivative<const D: usize, const V: usize>(rho: &[f64; 3], cam_from_world: &Rotation<D>) -> [[f64; V]; 3] {
+    let mut derivative = [[0.0; V]; 3];
+    if D == 2 {
+        derivative[0][0] = 1.0;
+        return derivative;
+    }
+    let inverse = inverse_left_jacobian(rho);
+    for r in 0..3 {
+        for c in 0..3 {
+            derivative[r][c] = (0..3).map(|k| inverse[r][k] * cam_from_world.matrix()[k][c]).sum();
+        }
+    }
+    derivative
+}
+
+/// `J_l(rho)^-1 = I - [rho]_x / 2 + (1 - (a/2) cot(a/2)) / a^2 [rho]_x^2`, `a = |rho|` (Barfoot, State Estimation for
+/// Robotics, 2017, eq. 7.77).
+fn inverse_left_jacobian(rho: &[f64; 3]) -> Matrix<3> {
+    let squared = dot(rho, rho);
+    let half = 0.5 * squared.sqrt();
+    let factor = if squared < 1e-4 { 1.0 / 12.0 + squared / 720.0 } else { (1.0 - half / half.tan()) / squared };
+    let [x, y, z] = *rho;
+    let cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]];
+    std::array::from_fn(|r| {
+        std::array::from_fn(|c| {
+            let square: f64 = (0..3).map(|k| cross[r][k] * cross[k][c]).sum();
+            f64::from(r == c) - 0.5 * cross[r][c] + factor * square
+        })
+    })
+}
+
+fn padded<const D: usize>(x: &Vector<D>) -> [f64; 3] {
+    std::array::from_fn(|c| if c < D { x[c] } else { 0.0 })
+}
+
+/// Inverse of the leading `n` rows and columns of a covariance, zero beyond; `None` where it is not positive definite.
+fn information_of<const D: usize>(covariance: &Matrix<D>, n: usize) -> Option<[[f64; 3]; 3]> {
+    let entry = |r: usize, c: usize| match (r < n, c < n) {
+        (true, true) => 0.5 * (covariance[r][c] + covariance[c][r]),
+        _ => f64::from(r == c),
+    };
+    let padded: Matrix<3> = std::array::from_fn(|r| std::array::from_fn(|c| entry(r, c)));
+    if padded.iter().flatten().any(|x| !x.is_finite()) {
+        return None;
+    }
+    let inverse = inverse_of_positive(&padded)?;
+    Some(std::array::from_fn(|r| std::array::from_fn(|c| if r < n && c < n { inverse[r][c] } else { 0.0 })))
+}
+
+fn not_positive(kind: &'static str, index: usize) -> RefineError {
+    let problem = "its covariance is not positive definite, expected a covariance of every direction".to_owned();
+    RefineError::Prior { kind, index, problem }
+}
+
+/// Checks priors against the number of views.
+pub(super) fn check<const D: usize>(priors: &Priors<D>, n_views: usize) -> Result<(), RefineError> {
+    let fault = |kind, index, problem: String| Err(RefineError::Prior { kind, index, problem });
+    let view = |view: u32| format!("names the view {view}, but there are {n_views}");
+    for (index, RotationPrior { view: id, .. }) in priors.rotations.iter().enumerate() {
+        if *id as usize >= n_views {
+            return fault("rotation", index, view(*id));
+        }
+    }
+    for (index, prior) in priors.directions.iter().enumerate() {
+        if prior.view as usize >= n_views {
+            return fault("direction", index, view(prior.view));
+        }
+        for (name, x) in [("bearing", &prior.bearing), ("direction", &prior.direction)] {
+            let length = norm(x);
+            if length.is_nan() || (length - 1.0).abs() > crate::tracks::UNIT_TOLERANCE {
+                return fault("direction", index, format!("its {name} has length {length}, expected a unit vector"));
+            }
+        }
+        if !(prior.sigma_rad.is_finite() && prior.sigma_rad > 0.0) {
+            return fault("direction", index, format!("sigma_rad is {}, expected a positive number", prior.sigma_rad));
+        }
+    }
+    for (index, PositionPrior { view: id, center, .. }) in priors.positions.iter().enumerate() {
+        if *id as usize >= n_views {
+            return fault("position", index, view(*id));
+        }
+        if center.iter().any(|x| !x.is_finite()) {
+            return fault("position", index, "its centre is not finite".to_owned());
+        }
+    }
+    Ok(())
+}
