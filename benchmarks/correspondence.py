@@ -5,7 +5,7 @@ point that both images of a pair found is matched with the chance ``found``. A s
 any feature of the one with any of the other (``random``), or with a look-alike of the right one (``twins``: a tenth of
 the points have one near by, and these matches are wrong alike in all pairs).
 
-The peer is union-find over all matches, ambiguous components dropped: what COLMAP's global mapper and OpenMVG do.
+The peer is union-find over all matches, ambiguous components dropped (Moulon and Monasse 2012).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 The world is the street of ``panopath.simulate``: a walk round a block, each point seen from near by. (pycolmap's own
 ``synthesize_dataset`` was tried first. It matches every point in all images whatever its track length: with 50 images
-each point has 1,225 matches, and where a few of them are wrong the mapper joins all points into one track and fails.)
+each point has 1,225 matches, and with 30 % of raw matches wrong the mapper was left with no track and failed.)
 Pictures are panoramas (``EQUIRECTANGULAR``), narrow pictures along the path (``PINHOLE``), or ``rig``: four pinhole
 cameras on one rig.
 
