@@ -3,11 +3,15 @@
 from panopath import _core
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
+    Database,
+    Reconstruction,
     read_control,
+    read_database,
     read_problem,
     read_scene,
     read_tracks,
     read_truth,
+    write_models,
     write_scene,
     write_tracks,
 )
@@ -25,6 +29,8 @@ from panopath.model import (
 )
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
+    CorrespondenceOptions,
+    FeatureTracks,
     GravityPriors,
     HeadingPriors,
     OrientationOptions,
@@ -45,6 +51,7 @@ from panopath.steps import (
     relative_poses,
     scene_covariance,
     solve_positions,
+    tracks_from_matches,
     view_pairs,
 )
 from panopath.synthetic import SyntheticWorld, simulate
@@ -53,8 +60,11 @@ __version__ = _core.__version__
 
 __all__ = [
     "Control",
+    "CorrespondenceOptions",
+    "Database",
     "DirectionPriors",
     "Evaluation",
+    "FeatureTracks",
     "GravityPriors",
     "HeadingPriors",
     "InputError",
@@ -67,6 +77,7 @@ __all__ = [
     "PositionPriors",
     "Priors",
     "Problem",
+    "Reconstruction",
     "RefineOptions",
     "Rig",
     "RotationPriors",
@@ -87,6 +98,7 @@ __all__ = [
     "evaluate",
     "position_covariance",
     "read_control",
+    "read_database",
     "read_problem",
     "read_scene",
     "read_tracks",
@@ -97,7 +109,9 @@ __all__ = [
     "scene_covariance",
     "simulate",
     "solve_positions",
+    "tracks_from_matches",
     "view_pairs",
+    "write_models",
     "write_scene",
     "write_tracks",
 ]

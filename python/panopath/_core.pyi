@@ -32,6 +32,7 @@ __all__ = [
     "simulate",
     "solve_positions",
     "spherical_from_bearings",
+    "tracks_from_matches",
     "vertical_field_of_view",
     "view_pairs",
 ]
@@ -111,6 +112,13 @@ def relative_poses(
     second: npt.NDArray[np.float64],
     second_from_first: npt.NDArray[np.float64] | None,
     options: Mapping[str, Any],
+def tracks_from_matches(
+    n_features: npt.NDArray[np.int64],
+    pairs: npt.NDArray[np.int32],
+    match_starts: npt.NDArray[np.int64],
+    matches: npt.NDArray[np.int32],
+    min_images: int,
+    min_linkage: float,
 ) -> dict[str, Any]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None

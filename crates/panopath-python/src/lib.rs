@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod convert;
+mod correspondence;
 mod orientation;
 mod positions;
 mod refinement;
@@ -15,6 +16,7 @@ mod view_graph;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
+    correspondence::register(module)?;
     positions::register(module)?;
     refinement::register(module)?;
     sphere::register(module)?;

@@ -13,6 +13,7 @@
 #![warn(missing_docs)]
 
 mod bundle;
+pub mod correspondence;
 pub mod geometry;
 pub mod least_squares;
 pub mod orientation;

@@ -6,7 +6,6 @@ Unprojection of a pixel is pycolmap's (extra ``colmap``); the files are read and
 
 from __future__ import annotations
 
-import importlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,26 +15,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.formats.csv import quaternion_from_rotation, rotation_from_quaternion
+from panopath.formats.colmap_model import (
+    EQUIRECTANGULAR_ID,
+    NO_POINT,
+    POINT2D,
+    Camera,
+    ModelImages,
+    ModelPoints,
+    load_pycolmap,
+    pycolmap_camera,
+    write_model,
+)
+from panopath.formats.csv import rotation_from_quaternion
 from panopath.formats.files import read_bytes
 from panopath.formats.structure import known_scene
-from panopath.model import Bool, Float, InputError, MissingExtraError, Problem, Scene, Tracks
-
-Index = npt.NDArray[np.intp]
+from panopath.model import Float, InputError, MissingExtraError, Problem, Scene, Tracks
 
 _PARTS = ("cameras", "images", "points3D")
 _PLACES = ("", "sparse/0", "sparse", "0")
-_NO_POINT = 2**64 - 1
-_EQUIRECTANGULAR_ID = 17
-_POINT2D = np.dtype([("x", "<f8"), ("y", "<f8"), ("id", "<u8")])
-
-
-@dataclass(frozen=True)
-class _Camera:
-    model: str | int
-    width: int
-    height: int
-    params: list[float]
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ def read_colmap(folder: Path) -> Problem:
 
 
 def _problem(
-    cameras: dict[int, _Camera],
+    cameras: dict[int, Camera],
     images: dict[int, _Image],
     point_ids: npt.NDArray[np.int64],
     points: Float,
@@ -95,7 +92,7 @@ def _problem(
         raise InputError(f"{paths['images']}: has no image")
     order = np.argsort(point_ids)
     sorted_ids, points = point_ids[order], points[order]
-    models = {camera_id: _camera(camera, camera_id, paths["cameras"]) for camera_id, camera in cameras.items()}
+    models = {camera_id: pycolmap_camera(camera, paths["cameras"]) for camera_id, camera in cameras.items()}
     views, tracks, bearings = [], [], []
     for index, image in enumerate(images.values()):
         if image.camera_id not in models:
@@ -138,35 +135,6 @@ def _problem(
     return Problem(found, rotation, known_scene(found, rotation, centers, points))
 
 
-def _pycolmap() -> Any:
-    try:
-        return importlib.import_module("pycolmap")
-    except ImportError:
-        raise MissingExtraError(
-            'COLMAP cameras need pycolmap: install the extra with pip install "panopath[colmap]"'
-        ) from None
-
-
-def _camera(camera: _Camera, camera_id: int, path: Path) -> Any:
-    pycolmap = _pycolmap()
-    try:
-        model = pycolmap.Camera(
-            model=camera.model if isinstance(camera.model, str) else pycolmap.CameraModelId(camera.model).name,
-            width=camera.width,
-            height=camera.height,
-            params=camera.params,
-        )
-        # without this check pycolmap reads beyond the parameters there are
-        if not model.verify_params():
-            raise ValueError
-    except (ValueError, TypeError, RuntimeError, AttributeError):
-        raise InputError(
-            f"{path}: camera {camera_id}: {camera.model} with {len(camera.params)} parameters is not a "
-            "camera model that pycolmap knows"
-        ) from None
-    return model
-
-
 # text
 
 
@@ -181,13 +149,13 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield number, line.split()
 
 
-def _cameras_txt(path: Path) -> dict[int, _Camera]:
+def _cameras_txt(path: Path) -> dict[int, Camera]:
     cameras = {}
     for number, fields in _lines(path):
         if fields:
             try:
-                cameras[int(fields[0])] = _Camera(
-                    fields[1], int(fields[2]), int(fields[3]), [float(field) for field in fields[4:]]
+                cameras[int(fields[0])] = Camera(
+                    int(fields[0]), fields[1], int(fields[2]), int(fields[3]), tuple(float(f) for f in fields[4:])
                 )
             except (ValueError, IndexError):
                 raise InputError(f"{path}: line {number}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]") from None
@@ -282,8 +250,8 @@ def _parse(read: Any, path: Path) -> Any:
     return result
 
 
-def _cameras_bin(cursor: _Cursor) -> dict[int, _Camera]:
-    pycolmap = _pycolmap()
+def _cameras_bin(cursor: _Cursor) -> dict[int, Camera]:
+    pycolmap = load_pycolmap()
     cameras = {}
     for _ in range(cursor.take("Q")[0]):
         camera_id, model, width, height = cursor.take("IiQQ")
@@ -291,7 +259,7 @@ def _cameras_bin(cursor: _Cursor) -> dict[int, _Camera]:
             n_params = len(pycolmap.Camera.create_from_model_id(1, pycolmap.CameraModelId(model), 1.0, 2, 2).params)
         except (ValueError, TypeError, RuntimeError):
             raise ValueError from None
-        cameras[camera_id] = _Camera(model, width, height, list(cursor.take(f"{n_params}d")))
+        cameras[camera_id] = Camera(camera_id, model, width, height, cursor.take(f"{n_params}d"))
     return cameras
 
 
@@ -300,8 +268,8 @@ def _images_bin(cursor: _Cursor) -> dict[int, _Image]:
     for _ in range(cursor.take("Q")[0]):
         image_id, *pose, camera_id = cursor.take("I7dI")
         name = cursor.text()
-        features = cursor.array(_POINT2D, cursor.take("Q")[0])
-        features = features[features["id"] != _NO_POINT]
+        features = cursor.array(POINT2D, cursor.take("Q")[0])
+        features = features[features["id"] != NO_POINT]
         pixels = np.stack((features["x"], features["y"]), axis=1)
         images[image_id] = _Image(pose[:4], pose[4:], camera_id, name, pixels, features["id"].astype(np.int64))
     return images
@@ -327,23 +295,6 @@ def equirectangular_pixels(bearing: Float, width: int, height: int) -> Float:
     return np.stack((width * (theta / (2.0 * np.pi) + 0.5), height * (0.5 - phi / np.pi)), axis=1)
 
 
-@dataclass(frozen=True)
-class _Features:
-    """The observations of one component as a COLMAP model counts them."""
-
-    #: Observations of the component's views, view by view.
-    order: Index
-    #: (n_views + 1,) where each view begins in ``order``.
-    starts: Index
-    #: (N,) place of each observation among the features of its image.
-    place: Index
-    #: (N, 2).
-    pixels: Float
-    #: (N,) whether the observation belongs to its point.
-    used: Bool
-    width: int
-
-
 def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0, width: int = 4096) -> None:
     """Write one component as a binary model with one EQUIRECTANGULAR camera of ``width`` x ``width / 2`` pixels.
 
@@ -356,57 +307,35 @@ def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0,
     """
     if scene.d != 3:
         raise InputError("a COLMAP model needs a scene in space, but this one is planar")
-    height = width // 2
     views = np.flatnonzero(scene.view_component == component)
-    in_points = scene.track_component == component
     seen = np.isin(tracks.view, views)
-    used = seen & scene.inlier & in_points[tracks.track]
     # observations by view, so that a feature's place in its image is its place in this order
     order = np.flatnonzero(seen)[np.argsort(tracks.view[seen], kind="stable")]
-    starts = np.searchsorted(tracks.view[order], np.arange(tracks.n_views + 1))
-    pixels = equirectangular_pixels(tracks.bearing, width, height)
-    place = np.zeros(len(tracks), dtype=np.int64)
-    place[order] = np.arange(len(order)) - starts[tracks.view[order]]
-    features = _Features(order, starts, place, pixels, used, width)
-    folder.mkdir(parents=True, exist_ok=True)
-    camera = struct.pack("<QIiQQ2d", 1, 1, _EQUIRECTANGULAR_ID, width, height, float(width), float(height))
-    (folder / "cameras.bin").write_bytes(camera)
-    (folder / "images.bin").write_bytes(_images_bytes(scene, tracks, views, features))
-    (folder / "points3D.bin").write_bytes(_points_bytes(scene, tracks, features))
-
-
-def _images_bytes(scene: Scene, tracks: Tracks, views: Index, features: _Features) -> bytes:
-    wxyz = quaternion_from_rotation(scene.cam_from_world)
-    translation = -np.einsum("nij,nj->ni", scene.cam_from_world, scene.centers)
-    names = scene.view_labels()
-    chunks = [struct.pack("<Q", len(views))]
-    for view in views.tolist():
-        name = names[view].encode("utf-8")
-        if b"\x00" in name:
-            raise InputError(f"the view name {names[view]!r} holds a NUL, which a COLMAP model cannot")
-        rows = features.order[features.starts[view] : features.starts[view + 1]]
-        points2d = np.empty(len(rows), dtype=_POINT2D)
-        points2d["x"], points2d["y"] = features.pixels[rows, 0], features.pixels[rows, 1]
-        points2d["id"] = np.where(features.used[rows], tracks.track[rows].astype(np.uint64) + 1, _NO_POINT)
-        pose = struct.pack("<I7dI", view + 1, *wxyz[view], *translation[view], 1)
-        chunks += [pose, name, b"\x00", struct.pack("<Q", len(rows)), points2d.tobytes()]
-    return b"".join(chunks)
-
-
-def _points_bytes(scene: Scene, tracks: Tracks, features: _Features) -> bytes:
-    rows = np.flatnonzero(features.used)
-    rows = rows[np.argsort(tracks.track[rows], kind="stable")]
-    track = tracks.track[rows]
-    ids, begins = np.unique(track, return_index=True)
-    ends = np.append(begins[1:], len(rows))
+    view, track = tracks.view[order], tracks.track[order]
+    starts = np.searchsorted(view, np.arange(tracks.n_views + 1))
+    used = scene.inlier[order] & (scene.track_component[track] == component)
+    labels = scene.view_labels()
+    images = ModelImages(
+        image_id=views + 1,
+        camera_id=np.ones(len(views), dtype=np.int64),
+        names=[labels[v] for v in views.tolist()],
+        cam_from_world=scene.cam_from_world[views],
+        centers=scene.centers[views],
+        starts=np.append(starts[views], len(order)),
+        pixels=equirectangular_pixels(tracks.bearing[order], width, width // 2),
+        point_id=np.where(used, track.astype(np.uint64) + np.uint64(1), np.uint64(NO_POINT)),
+    )
+    camera = Camera(1, EQUIRECTANGULAR_ID, width, width // 2, (float(width), float(width // 2)))
+    by_track = np.flatnonzero(used)[np.argsort(track[used], kind="stable")]
+    ids, begins, counts = np.unique(track[by_track], return_index=True, return_counts=True)
     # COLMAP's error on a spherical camera: the angle, in pixels at the equator
-    error_px = scene.residual_rad[rows] * (features.width / (2.0 * np.pi))
-    elements = np.stack((tracks.view[rows] + 1, features.place[rows]), axis=1).astype("<u4")
-    chunks = [struct.pack("<Q", len(ids))]
-    grey = (200, 200, 200)
-    for point, begin, end in zip(ids.tolist(), begins.tolist(), ends.tolist(), strict=True):
-        position = scene.points[point]
-        mean_error = float(error_px[begin:end].mean())
-        chunks.append(struct.pack("<Q3d3BdQ", point + 1, *position, *grey, mean_error, end - begin))
-        chunks.append(elements[begin:end].tobytes())
-    return b"".join(chunks)
+    error_px = scene.residual_rad[order][by_track] * (width / (2.0 * np.pi))
+    points = ModelPoints(
+        point_id=ids.astype(np.uint64) + np.uint64(1),
+        positions=scene.points[ids],
+        color=None,
+        error_px=np.add.reduceat(error_px, begins) / counts if len(ids) else error_px,
+        starts=np.append(begins, len(by_track)),
+        elements=np.stack((view[by_track] + 1, by_track - starts[view[by_track]]), axis=1),
+    )
+    write_model(folder, [camera], images, points)

@@ -1,5 +1,6 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
+from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.orientation import (
     GravityPriors,
     HeadingPriors,
@@ -14,6 +15,8 @@ from panopath.steps.two_view import TwoView, TwoViewOptions, TwoViews, TwoViewSt
 from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
+    "CorrespondenceOptions",
+    "FeatureTracks",
     "GravityPriors",
     "HeadingPriors",
     "OrientationOptions",
@@ -34,5 +37,6 @@ __all__ = [
     "relative_poses",
     "scene_covariance",
     "solve_positions",
+    "tracks_from_matches",
     "view_pairs",
 ]
