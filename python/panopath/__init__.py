@@ -23,7 +23,14 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.steps import position_covariance, solve_positions
+from panopath.steps import (
+    Motion,
+    MotionOptions,
+    fit_rotations,
+    mean_motion,
+    position_covariance,
+    solve_positions,
+)
 from panopath.synthetic import SyntheticWorld, simulate
 
 __version__ = _core.__version__
@@ -33,6 +40,8 @@ __all__ = [
     "Evaluation",
     "InputError",
     "MissingExtraError",
+    "Motion",
+    "MotionOptions",
     "PanopathError",
     "PositionOptions",
     "Problem",
@@ -43,6 +52,8 @@ __all__ = [
     "Tracks",
     "__version__",
     "evaluate",
+    "fit_rotations",
+    "mean_motion",
     "position_covariance",
     "read_control",
     "read_problem",

@@ -19,6 +19,8 @@ __all__ = [
     "compass_from_bearings",
     "cylindrical_from_bearings",
     "equirectangular_from_bearings",
+    "fit_rotations",
+    "mean_motion",
     "natural_order",
     "perspective_from_bearings",
     "planar_compass_from_bearings",
@@ -55,6 +57,26 @@ def position_covariance(
     centers: npt.NDArray[np.float64],
     points: npt.NDArray[np.float64],
     inlier: npt.NDArray[np.bool_] | None,
+) -> npt.NDArray[np.float64]: ...
+def mean_motion(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
+def fit_rotations(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    centers: npt.NDArray[np.float64],
+    points: npt.NDArray[np.float64],
+    cam_from_world: npt.NDArray[np.float64],
+    weighting: str,
+    share: float,
 ) -> npt.NDArray[np.float64]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None

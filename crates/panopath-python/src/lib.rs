@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod convert;
+mod motion;
 mod positions;
 mod sphere;
 mod synthetic;
@@ -10,6 +11,7 @@ mod table;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    motion::register(module)?;
     positions::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;

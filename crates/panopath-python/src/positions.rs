@@ -65,7 +65,7 @@ where
 }
 
 /// Runs on the caller's threads, or on a pool of the given size.
-fn on_threads<R: Send>(threads: Option<usize>, task: impl FnOnce() -> R + Send) -> PyResult<R> {
+pub(crate) fn on_threads<R: Send>(threads: Option<usize>, task: impl FnOnce() -> R + Send) -> PyResult<R> {
     match threads {
         None => Ok(task()),
         Some(n) => {
@@ -159,26 +159,26 @@ where
     Ok(Array3::from_shape_fn((blocks.len(), D, D), |(i, r, c)| blocks[i][r][c]).into_pyarray(py))
 }
 
-/// The arrays that both functions share.
-struct Input<'py> {
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
-    cam_from_world: Option<Bound<'py, PyAny>>,
+/// Tracks, and orientations where a function takes them.
+pub(crate) struct Input<'py> {
+    pub view: PyReadonlyArray1<'py, i32>,
+    pub track: PyReadonlyArray1<'py, i32>,
+    pub bearing: PyReadonlyArray2<'py, f64>,
+    pub n_views: usize,
+    pub n_tracks: usize,
+    pub sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    pub cam_from_world: Option<Bound<'py, PyAny>>,
 }
 
 impl Input<'_> {
-    fn dimension(&self) -> PyResult<usize> {
+    pub fn dimension(&self) -> PyResult<usize> {
         match self.bearing.as_array().ncols() {
             d @ (2 | 3) => Ok(d),
             other => Err(PyValueError::new_err(format!("bearing has {other} columns, expected 2 or 3"))),
         }
     }
 
-    fn tracks<const D: usize>(&self) -> PyResult<Tracks<D>> {
+    pub fn tracks<const D: usize>(&self) -> PyResult<Tracks<D>> {
         let ids = |array: &PyReadonlyArray1<'_, i32>, name: &str| -> PyResult<Vec<u32>> {
             let convert = |(k, &id): (usize, &i32)| {
                 u32::try_from(id).map_err(|_| PyValueError::new_err(format!("{name}[{k}] is {id}, expected 0 or more")))
@@ -197,7 +197,7 @@ impl Input<'_> {
         .map_err(value_error)
     }
 
-    fn rotations<const D: usize>(&self) -> PyResult<Option<Vec<Rotation<D>>>>
+    pub fn rotations<const D: usize>(&self) -> PyResult<Option<Vec<Rotation<D>>>>
     where
         Rotation<D>: FromHeadingOrMatrix,
     {
@@ -206,7 +206,7 @@ impl Input<'_> {
 }
 
 /// How orientations are written in Python: headings in the plane, matrices in space.
-trait FromHeadingOrMatrix: Sized {
+pub(crate) trait FromHeadingOrMatrix: Sized {
     fn read_all(array: &Bound<'_, PyAny>) -> PyResult<Vec<Self>>;
 }
 
@@ -331,7 +331,7 @@ fn pair<const D: usize>(
     Ok(ids.iter().copied().zip(positions).collect())
 }
 
-fn choose<T: Clone>(what: &str, found: &str, choices: &[(&str, T)]) -> PyResult<T> {
+pub(crate) fn choose<T: Clone>(what: &str, found: &str, choices: &[(&str, T)]) -> PyResult<T> {
     choices.iter().find(|(name, _)| *name == found).map(|(_, choice)| choice.clone()).ok_or_else(|| {
         let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
         PyValueError::new_err(format!("{what} is {found:?}, expected one of {}", names.join(", ")))

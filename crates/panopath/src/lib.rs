@@ -13,11 +13,13 @@
 
 pub mod geometry;
 pub mod least_squares;
+pub mod motion;
 pub mod positions;
 pub mod sphere;
 pub mod synthetic;
 pub mod tracks;
 
 pub use geometry::{Rotation, Similarity};
+pub use motion::{Motion, MotionError, MotionOptions, fit_rotations, mean_motion};
 pub use positions::{PositionError, PositionOptions, Structure, solve_positions};
 pub use tracks::{Tracks, TracksError};
