@@ -24,8 +24,11 @@ from panopath.model import (
     Tracks,
 )
 from panopath.steps import (
+    HeadingOptions,
+    Headings,
     Motion,
     MotionOptions,
+    find_headings,
     fit_rotations,
     mean_motion,
     position_covariance,
@@ -38,6 +41,8 @@ __version__ = _core.__version__
 __all__ = [
     "Control",
     "Evaluation",
+    "HeadingOptions",
+    "Headings",
     "InputError",
     "MissingExtraError",
     "Motion",
@@ -52,6 +57,7 @@ __all__ = [
     "Tracks",
     "__version__",
     "evaluate",
+    "find_headings",
     "fit_rotations",
     "mean_motion",
     "position_covariance",

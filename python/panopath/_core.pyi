@@ -30,6 +30,7 @@ __all__ = [
     "simulate",
     "solve_positions",
     "spherical_from_bearings",
+    "start_headings",
     "vertical_field_of_view",
 ]
 
@@ -78,6 +79,15 @@ def fit_rotations(
     weighting: str,
     share: float,
 ) -> npt.NDArray[np.float64]: ...
+def start_headings(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    sigma_rad: npt.NDArray[np.float64] | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None
 

@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod convert;
+mod headings;
 mod motion;
 mod positions;
 mod sphere;
@@ -11,6 +12,7 @@ mod table;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    headings::register(module)?;
     motion::register(module)?;
     positions::register(module)?;
     sphere::register(module)?;

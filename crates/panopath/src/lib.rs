@@ -12,6 +12,7 @@
 #![warn(missing_docs)]
 
 pub mod geometry;
+pub mod headings;
 pub mod least_squares;
 pub mod motion;
 pub mod positions;
@@ -20,6 +21,7 @@ pub mod synthetic;
 pub mod tracks;
 
 pub use geometry::{Rotation, Similarity};
+pub use headings::{HeadingError, HeadingOptions, Headings, start_headings};
 pub use motion::{Motion, MotionError, MotionOptions, fit_rotations, mean_motion};
 pub use positions::{PositionError, PositionOptions, Structure, solve_positions};
 pub use tracks::{Tracks, TracksError};
