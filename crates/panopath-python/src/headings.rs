@@ -30,6 +30,7 @@ fn start_headings<'py>(
     dict.set_item("view_component", found.view_component.into_pyarray(py))?;
     dict.set_item("resected", found.resected.into_pyarray(py))?;
     dict.set_item("n_triplets", found.n_triplets)?;
+    dict.set_item("n_quads", found.n_quads)?;
     dict.set_item("status", found.status.name())?;
     Ok(dict)
 }

@@ -51,6 +51,8 @@ class Headings:
     resected: Bool
     #: Triplets that were tried, and those that had an answer.
     n_triplets: tuple[int, int]
+    #: The same of sets of four tracks, which views that see few of them share.
+    n_quads: tuple[int, int]
     #: ``converged``: all views in one component. ``disconnected``: not all, or in several. ``undetermined``: none.
     status: Status
 
@@ -95,11 +97,11 @@ def find_headings(tracks: Tracks, options: HeadingOptions | None = None) -> Head
         tracks.sigma_rad,
         dict(chosen.__dict__),
     )
-    tried, solved = found["n_triplets"]
     return Headings(
         heading_rad=read_only(np.asarray(found["heading_rad"], dtype=np.float64)),
         view_component=read_only(np.asarray(found["view_component"], dtype=np.int32)),
         resected=read_only(np.asarray(found["resected"], dtype=np.bool_)),
-        n_triplets=(int(tried), int(solved)),
+        n_triplets=tuple(found["n_triplets"]),
+        n_quads=tuple(found["n_quads"]),
         status=Status(found["status"]),
     )

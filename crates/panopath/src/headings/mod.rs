@@ -4,6 +4,7 @@
 //!
 //! 1. triplets of views that share enough tracks give differences of headings (`triplet`: closed form, sampled against
 //!    false bearings, refined);
+//!    where views see few tracks, sets of four tracks that many views share give headings of these (`quad`, the dual);
 //! 2. the differences are averaged over all views (`average`);
 //! 3. with headings known, positions are a solved problem; views that no triplet reached are resected onto the points found so
 //!    (`resect`), and that again until nothing is added.
@@ -22,18 +23,21 @@ use crate::tracks::{Tracks, TracksError};
 
 mod average;
 mod complex;
+mod quad;
 mod resect;
 mod triplet;
 
 use average::{Averaged, Edge, average_headings};
 use complex::{Complex, wrapped};
+use quad::{FourAngles, solve_quad};
 use resect::{Sight, resect};
 use triplet::{Sighting, solve_triplet};
 
 /// Options of [`start_headings`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeadingOptions {
-    /// Standard deviation of a bearing. Default: the median of the tracks' `sigma_rad`, or half a degree.
+    /// Standard deviation of a bearing. Default: the median of the tracks' `sigma_rad`, or what triplets
+    /// show, half a degree at most.
     pub noise_rad: Option<f64>,
     /// Fewest tracks that three views must share to be a triplet. Default: 7; 5 fix it, the others are the check.
     pub min_tracks: usize,
@@ -84,6 +88,8 @@ pub struct Headings {
     pub resected: Vec<bool>,
     /// Triplets that were tried and those that had an answer.
     pub n_triplets: [usize; 2],
+    /// The same of sets of four tracks.
+    pub n_quads: [usize; 2],
     /// How it ended.
     pub status: HeadingStatus,
 }
@@ -121,21 +127,27 @@ pub enum HeadingError {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn start_headings(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<Headings, HeadingError> {
-    let noise_rad = check(tracks, options)?;
+    let known_rad = check(tracks, options)?;
     let seen = Seen::new(tracks);
     let triples = seen.triples(options);
+    let noise_rad = known_rad.unwrap_or_else(|| seen.noise(&triples, options));
     let solved: Vec<Vec<Edge>> =
         triples.par_iter().enumerate().map(|(k, triple)| seen.edges(triple, noise_rad, options, k)).collect();
     let n_solved = solved.iter().filter(|edges| !edges.is_empty()).count();
-    let averaged = average_headings(tracks.n_views(), &solved.concat())?;
-    let mut found = Headings::from_average(averaged, [triples.len(), n_solved]);
+    let quads = seen.quads(options);
+    let dual: Vec<Vec<Edge>> =
+        quads.par_iter().enumerate().map(|(k, quad)| seen.quad_edges(quad, noise_rad, options, k)).collect();
+    let n_dual = dual.iter().filter(|edges| !edges.is_empty()).count();
+    // each quad is a node of its own: the frame in which its views have their headings
+    let averaged = average_headings(tracks.n_views() + quads.len(), &[solved.concat(), dual.concat()].concat())?;
+    let mut found = Headings::from_average(averaged, tracks.n_views());
+    (found.n_triplets, found.n_quads) = ([triples.len(), n_solved], [quads.len(), n_dual]);
     found.resect_the_rest(tracks, &seen, noise_rad, options)?;
     found.name_status();
     Ok(found)
 }
 
-fn check(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<f64, HeadingError> {
-    const HALF_A_DEGREE: f64 = 0.5 * std::f64::consts::PI / 180.0;
+fn check(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<Option<f64>, HeadingError> {
     for (name, value, least) in [
         ("min_tracks", options.min_tracks, 6),
         ("triplets", options.triplets, 1),
@@ -150,13 +162,17 @@ fn check(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<f64, HeadingErr
         let middle = sorted.len() / 2;
         (!sorted.is_empty()).then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
     };
-    let noise_rad = options.noise_rad.or_else(|| tracks.sigma_rad().and_then(median)).unwrap_or(HALF_A_DEGREE);
-    if noise_rad > 0.0 && noise_rad < 0.5 {
-        Ok(noise_rad)
-    } else {
-        Err(HeadingError::Option(format!("noise_rad is {noise_rad}, expected a number above 0, below 0.5")))
+    let noise_rad = options.noise_rad.or_else(|| tracks.sigma_rad().and_then(median));
+    match noise_rad {
+        Some(noise) if !(noise > 0.0 && noise < 0.5) => {
+            Err(HeadingError::Option(format!("noise_rad is {noise}, expected a number above 0, below 0.5")))
+        }
+        _ => Ok(noise_rad),
     }
 }
+
+/// Differences of headings less certain than this (radians) say nothing.
+const WORST_SIGMA: f64 = 0.2;
 
 /// Observations by view and by track, the first of several of one track in one view.
 struct Seen {
@@ -187,6 +203,8 @@ impl Seen {
     fn triples(&self, options: &HeadingOptions) -> Vec<[u32; 3]> {
         /// Views from which partners are drawn.
         const PARTNERS: usize = 16;
+        /// Triplets drawn for each one that is kept, those that share most.
+        const DRAWN: usize = 3;
         let of_view = |view: usize| {
             let mut rng = stream(options.seed, view as u64);
             let mut partners: Vec<(usize, u64, u32)> = self
@@ -198,14 +216,20 @@ impl Seen {
             partners.sort_by(|a, b| b.cmp(a));
             partners.truncate(PARTNERS);
             let mut chosen = Vec::new();
-            for _ in 0..if partners.len() < 2 { 0 } else { options.triplets } {
+            for _ in 0..if partners.len() < 2 { 0 } else { DRAWN * options.triplets } {
                 let a = rng.random_range(0..partners.len());
                 let b = (a + rng.random_range(1..partners.len())) % partners.len();
                 let mut triple = [view as u32, partners[a].2, partners[b].2];
                 triple.sort_unstable();
-                chosen.push(triple);
+                let count = self.common(&triple).len();
+                if count >= options.min_tracks {
+                    chosen.push((count, triple));
+                }
             }
-            chosen
+            chosen.sort_by_key(|(count, triple)| (std::cmp::Reverse(*count), *triple));
+            chosen.dedup();
+            chosen.truncate(options.triplets);
+            chosen.into_iter().map(|(_, triple)| triple)
         };
         let mut triples: Vec<[u32; 3]> = (0..self.of_view.len()).into_par_iter().flat_map_iter(of_view).collect();
         triples.sort_unstable();
@@ -233,10 +257,78 @@ impl Seen {
         a.iter().filter_map(|(track, angle)| Some([*angle, angle_in(b, *track)?, angle_in(c, *track)?])).collect()
     }
 
+    /// Noise of a bearing as a sample of the triplets shows it.
+    fn noise(&self, triples: &[[u32; 3]], options: &HeadingOptions) -> f64 {
+        const MOST: f64 = 0.5 * std::f64::consts::PI / 180.0;
+        const LEAST: f64 = 1e-4;
+        const SAMPLE: usize = 200;
+        let every = triples.len().div_ceil(SAMPLE).max(1);
+        let one = |(k, triple): (usize, &[u32; 3])| {
+            Some(
+                solve_triplet(&self.common(triple), MOST, &mut stream(options.seed ^ 0x6e6f_6973, k as u64))?.noise_rad,
+            )
+        };
+        let mut found: Vec<f64> = triples.par_iter().step_by(every).enumerate().filter_map(one).collect();
+        if found.is_empty() {
+            return MOST;
+        }
+        let middle = found.len() / 2;
+        found.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(LEAST, MOST)
+    }
+
+    /// Sets of four tracks that many views share, of those views that see few.
+    fn quads(&self, options: &HeadingOptions) -> Vec<[u32; 4]> {
+        /// Views that see more have triplets, and too many sets of four.
+        const FEW: usize = 9;
+        const LEAST_VIEWS: usize = 8;
+        let mut count = std::collections::BTreeMap::<[u32; 4], usize>::new();
+        for seen in self.of_view.iter().filter(|seen| seen.len() <= FEW) {
+            for d in 3..seen.len() {
+                for c in 2..d {
+                    for b in 1..c {
+                        for a in 0..b {
+                            *count.entry([a, b, c, d].map(|k| seen[k].0)).or_insert(0) += 1;
+                        }
+                    }
+                }
+            }
+        }
+        let mut quads: Vec<(usize, [u32; 4])> =
+            count.into_iter().filter(|(_, n)| *n >= LEAST_VIEWS).map(|(quad, n)| (n, quad)).collect();
+        quads.sort_by_key(|(n, quad)| (std::cmp::Reverse(*n), *quad));
+        quads.truncate(options.triplets * self.of_view.len());
+        quads.into_iter().map(|(_, quad)| quad).collect()
+    }
+
+    /// Headings of the views of four tracks in a frame of their own, or none.
+    fn quad_edges(&self, quad: &[u32; 4], noise_rad: f64, options: &HeadingOptions, index: usize) -> Vec<Edge> {
+        let angle_in = |view: u32, track: u32| {
+            let list = &self.of_view[view as usize];
+            list.binary_search_by_key(&track, |(track, _)| *track).ok().map(|place| list[place].1)
+        };
+        let (mut views, mut seen) = (Vec::new(), Vec::<FourAngles>::new());
+        for &view in &self.of_track[quad[0] as usize] {
+            if let [Some(a), Some(b), Some(c), Some(d)] = quad.map(|track| angle_in(view, track)) {
+                views.push(view);
+                seen.push([a, b, c, d]);
+            }
+        }
+        let frame = (self.of_view.len() + index) as u32;
+        let mut rng = stream(options.seed ^ 0x7175_6164, index as u64);
+        solve_quad(&seen, noise_rad, &mut rng)
+            .into_iter()
+            .filter(|found| found.sigma < WORST_SIGMA)
+            .map(|found| Edge {
+                from: frame,
+                to: views[found.index],
+                turn: found.heading,
+                sigma: found.sigma.max(1e-9),
+            })
+            .collect()
+    }
+
     /// The three differences of headings of a triplet, or none.
     fn edges(&self, triple: &[u32; 3], noise_rad: f64, options: &HeadingOptions, index: usize) -> Vec<Edge> {
-        /// Differences less certain than this (radians) say nothing.
-        const WORST_SIGMA: f64 = 0.2;
         let common = self.common(triple);
         if common.len() < options.min_tracks {
             return Vec::new();
@@ -254,6 +346,16 @@ impl Seen {
     }
 }
 
+/// Labels anew, the largest first.
+fn by_size(component: &[i32]) -> Vec<i32> {
+    let n = component.iter().fold(0, |n, &c| n.max(c + 1));
+    let size = |label: i32| component.iter().filter(|&&c| c == label).count();
+    let mut order: Vec<(usize, i32)> = (0..n).map(|label| (size(label), label)).filter(|(size, _)| *size > 1).collect();
+    order.sort_by_key(|(size, label)| (std::cmp::Reverse(*size), *label));
+    let rank = |c: &i32| order.iter().position(|(_, label)| label == c).map_or(-1, |place| place as i32);
+    component.iter().map(rank).collect()
+}
+
 fn stream(seed: u64, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(index);
@@ -261,14 +363,16 @@ fn stream(seed: u64, index: u64) -> ChaCha8Rng {
 }
 
 impl Headings {
-    fn from_average(averaged: Averaged, n_triplets: [usize; 2]) -> Self {
+    fn from_average(averaged: Averaged, n_views: usize) -> Self {
         let Averaged { mut heading, component } = averaged;
-        for (h, &c) in heading.iter_mut().zip(&component) {
+        heading.truncate(n_views);
+        let view_component = by_size(&component[..n_views]);
+        for (h, &c) in heading.iter_mut().zip(&view_component) {
             *h = if c < 0 { f64::NAN } else { *h };
         }
         let resected = vec![false; heading.len()];
-        let status = HeadingStatus::Undetermined;
-        Self { heading_rad: heading, view_component: component, resected, n_triplets, status }
+        let (n_triplets, n_quads, status) = ([0; 2], [0; 2], HeadingStatus::Undetermined);
+        Self { heading_rad: heading, view_component, resected, n_triplets, n_quads, status }
     }
 
     fn name_status(&mut self) {

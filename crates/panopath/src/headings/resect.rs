@@ -33,7 +33,7 @@ pub(super) fn resect(sights: &[Sight], noise_rad: f64, least: usize, rng: &mut C
     let mut best: Option<(f64, Resection)> = None;
     for round in 0..if n == 3 { 1 } else { SAMPLES } {
         let sample = if n == 3 { [0, 1, 2] } else { distinct(n, rng) };
-        let Some(view) = linear(&sample.map(|k| sights[k])) else { continue };
+        let Some(view) = linear_resection(&sample.map(|k| sights[k])) else { continue };
         let view = view.descended(sights, noise_rad, if round == 0 { 10 } else { 0 });
         let cost: f64 = sights.iter().map(|sight| (view.miss(sight) / limit).powi(2).min(1.0)).sum();
         if best.as_ref().is_none_or(|(lowest, _)| cost < *lowest) {
@@ -57,7 +57,8 @@ fn distinct(n: usize, rng: &mut ChaCha8Rng) -> [usize; 3] {
     }
 }
 
-fn linear(sights: &[Sight]) -> Option<Resection> {
+/// The view that makes the sum of the squared equations smallest.
+pub(super) fn linear_resection(sights: &[Sight]) -> Option<Resection> {
     // coordinates about the points and of their size, so that the four numbers are alike
     let share = 1.0 / sights.len() as f64;
     let middle = sights.iter().fold(Complex::default(), |sum, (z, _)| sum + z.times(share));
@@ -89,22 +90,24 @@ fn linear(sights: &[Sight]) -> Option<Resection> {
 
 impl Resection {
     /// Seen angle less predicted angle.
-    fn miss(&self, (z, angle): &Sight) -> f64 {
+    pub fn miss(&self, (z, angle): &Sight) -> f64 {
         wrapped(angle + self.heading - (*z - self.center).arg())
     }
 
+    /// Derivatives of the miss by the two coordinates of the centre and by the heading.
+    pub fn slopes(&self, (z, _): &Sight) -> Option<[f64; 3]> {
+        let away = *z - self.center;
+        let squared = away.re * away.re + away.im * away.im;
+        (squared > 0.0).then(|| [-away.im / squared, away.re / squared, 1.0])
+    }
+
     /// Robust Gauss-Newton over place and heading.
-    fn descended(mut self, sights: &[Sight], noise_rad: f64, steps: usize) -> Self {
+    pub fn descended(mut self, sights: &[Sight], noise_rad: f64, steps: usize) -> Self {
         for _ in 0..steps {
             let (mut normal, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
             for sight in sights {
-                let (miss, away) = (self.miss(sight), sight.0 - self.center);
-                let squared = away.re * away.re + away.im * away.im;
-                if squared == 0.0 {
-                    continue;
-                }
+                let (miss, Some(row)) = (self.miss(sight), self.slopes(sight)) else { continue };
                 let weight = (1.0 + (miss / (3.0 * noise_rad)).powi(2)).powi(-2);
-                let row = [-away.im / squared, away.re / squared, 1.0];
                 for r in 0..3 {
                     right[r] -= weight * row[r] * miss;
                     for c in 0..3 {

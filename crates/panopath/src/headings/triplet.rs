@@ -29,6 +29,8 @@ pub(super) struct Triplet {
     pub heading: [f64; 2],
     /// Covariance of the two.
     pub covariance: [[f64; 2]; 2],
+    /// Standard deviation of a bearing, from the tracks that agree.
+    pub noise_rad: f64,
 }
 
 const SIGNS: [[f64; 3]; 3] = [[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0]];
@@ -36,9 +38,13 @@ const SIGNS: [[f64; 3]; 3] = [[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.
 const SAMPLE: usize = 5;
 /// Bearings that miss each other by more standard deviations than this do not belong together.
 const INLIER_SIGMAS: f64 = 3.0;
+/// Agreement that chance brings about more often than this says nothing.
+const MOST_FALSE_ALARMS: f64 = 0.1;
 /// The share of tracks in front of all views must be larger than that of the mirror image by this much.
 const FRONT_MARGIN: f64 = 0.15;
 
+/// Mirror images whose headings differ by less are one answer to the descent.
+const NEARLY_ALIKE: f64 = 0.15;
 const DESCENT_STEPS: usize = 8;
 /// No step of the descent turns a view or moves a centre (of a triplet of size one) further.
 const LONGEST_STEP: f64 = 0.2;
@@ -68,10 +74,32 @@ pub(super) fn solve_triplet(seen: &[Sighting], noise_rad: f64, rng: &mut ChaCha8
         kept = inliers(&pose.tensor());
         covariance = Some(found);
     }
-    let n_inliers = kept.len();
-    let agree = n_inliers > SAMPLE && 2 * n_inliers > seen.len();
+    let agree = 2 * kept.len() > seen.len() && false_alarms(seen.len(), kept.len(), limit) < MOST_FALSE_ALARMS;
     let heading = [wrapped(pose.heading[0]), wrapped(pose.heading[1])];
-    covariance.filter(|_| agree).map(|covariance| Triplet { heading, covariance })
+    let missed: Vec<f64> = kept.iter().map(|&p| miss(&pose.tensor(), &rows[p]).abs()).collect();
+    let found = Triplet { heading, covariance: covariance?, noise_rad: spread(missed) };
+    agree.then_some(found)
+}
+
+/// Standard deviation from the median of absolute misses, five of which the fit could choose.
+fn spread(mut missed: Vec<f64>) -> f64 {
+    let n = missed.len();
+    if n <= SAMPLE {
+        return f64::NAN;
+    }
+    let median = *missed.select_nth_unstable_by(n / 2, f64::total_cmp).1;
+    1.4826 * median * (n as f64 / (n - SAMPLE) as f64).sqrt()
+}
+
+/// How many sets of `k` of `n` tracks would agree by chance, each track within `limit` (Moisan and Stival 2004): what is left
+/// of `n choose k` and `k choose 5` hypotheses when all but five must agree.
+fn false_alarms(n: usize, k: usize, limit: f64) -> f64 {
+    if k <= SAMPLE {
+        return f64::INFINITY;
+    }
+    let log_choose = |n: usize, k: usize| (1..=k).map(|i| ((n - k + i) as f64 / i as f64).ln()).sum::<f64>();
+    let log = ((n - SAMPLE) as f64).ln() + log_choose(n, k) + log_choose(k, SAMPLE) + (k - SAMPLE) as f64 * limit.ln();
+    log.exp()
 }
 
 fn exponentials(a: &Sighting) -> [Complex; 3] {
@@ -149,11 +177,13 @@ struct Pose {
     center: [Complex; 2],
 }
 
-/// The solution with most tracks in front, if it beats its mirror image.
+/// The solution with most tracks in front, if it beats its mirror image or hardly differs from it.
 fn in_front(tensor: &Tensor, seen: &[Sighting], kept: &[usize]) -> Option<Pose> {
     let [first, second] = decompose(tensor)?.map(|pose| pose.turned_to_the_front(seen, kept));
     let (best, other) = if first.1 >= second.1 { (first, second) } else { (second, first) };
-    (best.1 > other.1 + FRONT_MARGIN).then_some(best.0)
+    // views on one line are their own mirror image
+    let apart = |k: usize| wrapped(best.0.heading[k] - other.0.heading[k]).abs();
+    (best.1 > other.1 + FRONT_MARGIN || apart(0).max(apart(1)) < NEARLY_ALIKE).then_some(best.0)
 }
 
 /// The two triangles that the sides close to.
@@ -276,7 +306,7 @@ impl Pose {
             squares += weight * missed * missed;
             total += weight;
         }
-        let inverse = without_scale(normal, &self.center)?;
+        let inverse = without_scale(normal, &self.center, total * noise_rad)?;
         // five numbers are fitted; with few tracks the noise said to be there is the better guess
         let variance = (squares + 5.0 * noise_rad * noise_rad) / total.max(1.0);
         let step: [f64; 6] = std::array::from_fn(|r| (0..6).map(|c| inverse[r][c] * right[c]).sum());
@@ -294,7 +324,10 @@ impl Pose {
 }
 
 /// Inverse of the normal matrix with the scale of the centres held.
-fn without_scale(mut normal: [[f64; 6]; 6], center: &[Complex; 2]) -> Option<[[f64; 6]; 6]> {
+///
+/// Where the views stand on one line a direction is seen in second order only: misses grow with the square of the way,
+/// which noise then hides up to its root. `least` is the information that corresponds to this.
+fn without_scale(mut normal: [[f64; 6]; 6], center: &[Complex; 2], least: f64) -> Option<[[f64; 6]; 6]> {
     let scale = [0.0, 0.0, center[0].re, center[0].im, center[1].re, center[1].im];
     let stiff: f64 = (0..6).map(|k| normal[k][k]).sum();
     for r in 0..6 {
@@ -303,7 +336,7 @@ fn without_scale(mut normal: [[f64; 6]; 6], center: &[Complex; 2]) -> Option<[[f
         }
     }
     let (values, vectors) = symmetric_eigen(&normal).ok()?;
-    let floor = 1e-12 * values[5];
+    let floor = least.max(1e-12 * values[5]);
     if floor.is_nan() || floor <= 0.0 {
         return None;
     }
