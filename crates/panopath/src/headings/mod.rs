@@ -280,7 +280,7 @@ impl Seen {
     fn quads(&self, options: &HeadingOptions) -> Vec<[u32; 4]> {
         /// Views that see more have triplets, and too many sets of four.
         const FEW: usize = 9;
-        const LEAST_VIEWS: usize = 8;
+        const LEAST_VIEWS: usize = 6;
         let mut count = std::collections::BTreeMap::<[u32; 4], usize>::new();
         for seen in self.of_view.iter().filter(|seen| seen.len() <= FEW) {
             for d in 3..seen.len() {

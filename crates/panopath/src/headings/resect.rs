@@ -129,3 +129,29 @@ impl Resection {
         self
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_are_central_differences() {
+        const STEP: f64 = 1e-6;
+        let view = Resection { heading: 2.5, center: Complex::new(0.4, -1.1) };
+        let sight = (Complex::new(-1.5, 0.8), 0.6);
+        let slopes = view.slopes(&sight);
+        for k in 0..3 {
+            let moved = |by: f64| {
+                let mut view = view;
+                match k {
+                    0 => view.center.re += by,
+                    1 => view.center.im += by,
+                    _ => view.heading += by,
+                }
+                view.miss(&sight)
+            };
+            let difference = 0.5 * (moved(STEP) - moved(-STEP)) / STEP;
+            assert!(slopes.is_some_and(|slopes| (slopes[k] - difference).abs() < 1e-9), "parameter {k}");
+        }
+    }
+}

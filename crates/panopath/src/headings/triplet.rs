@@ -344,3 +344,59 @@ fn without_scale(mut normal: [[f64; 6]; 6], center: &[Complex; 2], least: f64) -
         std::array::from_fn(|c| (0..6).map(|k| vectors[k][r] * vectors[k][c] / values[k].max(floor)).sum())
     }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const POSE: Pose =
+        Pose { heading: [0.7, -2.1], center: [Complex { re: 0.3, im: -0.5 }, Complex { re: -0.6, im: 0.55 }] };
+    const SEEN: Sighting = [0.4, -1.3, 2.2];
+    const STEP: f64 = 1e-6;
+
+    #[test]
+    fn tensor_slopes_are_central_differences() {
+        for (k, slopes) in POSE.tensor_slopes().iter().enumerate() {
+            let moved = |by: f64| {
+                let mut pose = POSE;
+                match k {
+                    0 | 1 => pose.heading[k] += by,
+                    2 | 4 => pose.center[k / 2 - 1].re += by,
+                    _ => pose.center[k / 2 - 1].im += by,
+                }
+                pose.tensor()
+            };
+            for (slope, (after, before)) in slopes.iter().zip(moved(STEP).iter().zip(moved(-STEP))) {
+                let difference = (*after - before).times(0.5 / STEP);
+                assert!((*slope - difference).abs() < 1e-9, "parameter {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_slope_is_the_gradient_by_the_three_angles() {
+        let tensor = POSE.tensor();
+        let value = |a: &Sighting| value_and_slope(&tensor, &exponentials(a)).0;
+        let mut squares = 0.0;
+        for view in 0..3 {
+            let moved = |by: f64| {
+                let mut a = SEEN;
+                a[view] += by;
+                value(&a)
+            };
+            squares += (0.5 * (moved(STEP) - moved(-STEP)) / STEP).powi(2);
+        }
+        assert!((squares.sqrt() - value_and_slope(&tensor, &exponentials(&SEEN)).1).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_decomposed_tensor_is_the_tensor() {
+        let tensor = POSE.tensor();
+        for pose in decompose(&tensor).into_iter().flatten() {
+            let again = pose.tensor();
+            let factor = again[0].over(tensor[0]);
+            assert!(factor.im.abs() < 1e-12, "the two agree up to a real factor");
+            assert!((0..3).all(|k| (tensor[k].times(factor.re) - again[k]).abs() < 1e-12));
+        }
+    }
+}
