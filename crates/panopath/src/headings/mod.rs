@@ -131,18 +131,20 @@ pub fn start_headings(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<He
     let seen = Seen::new(tracks);
     let triples = seen.triples(options);
     let noise_rad = known_rad.unwrap_or_else(|| seen.noise(&triples, options));
+    // few landmarks show no noise, and points found are off themselves: there the largest is believed
+    let wide_rad = known_rad.unwrap_or(MOST_NOISE_RAD);
     let solved: Vec<Vec<Edge>> =
         triples.par_iter().enumerate().map(|(k, triple)| seen.edges(triple, noise_rad, options, k)).collect();
     let n_solved = solved.iter().filter(|edges| !edges.is_empty()).count();
     let quads = seen.quads(options);
     let dual: Vec<Vec<Edge>> =
-        quads.par_iter().enumerate().map(|(k, quad)| seen.quad_edges(quad, noise_rad, options, k)).collect();
+        quads.par_iter().enumerate().map(|(k, quad)| seen.quad_edges(quad, wide_rad, options, k)).collect();
     let n_dual = dual.iter().filter(|edges| !edges.is_empty()).count();
     // each quad is a node of its own: the frame in which its views have their headings
     let averaged = average_headings(tracks.n_views() + quads.len(), &[solved.concat(), dual.concat()].concat())?;
     let mut found = Headings::from_average(averaged, tracks.n_views());
     (found.n_triplets, found.n_quads) = ([triples.len(), n_solved], [quads.len(), n_dual]);
-    found.resect_the_rest(tracks, &seen, noise_rad, options)?;
+    found.resect_the_rest(tracks, &seen, wide_rad, options)?;
     found.name_status();
     Ok(found)
 }
@@ -170,6 +172,9 @@ fn check(tracks: &Tracks<2>, options: &HeadingOptions) -> Result<Option<f64>, He
         _ => Ok(noise_rad),
     }
 }
+
+/// Noise of a bearing where nothing says what it is: half a degree.
+const MOST_NOISE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
 /// Differences of headings less certain than this (radians) say nothing.
 const WORST_SIGMA: f64 = 0.2;
@@ -259,21 +264,23 @@ impl Seen {
 
     /// Noise of a bearing as a sample of the triplets shows it.
     fn noise(&self, triples: &[[u32; 3]], options: &HeadingOptions) -> f64 {
-        const MOST: f64 = 0.5 * std::f64::consts::PI / 180.0;
         const LEAST: f64 = 1e-4;
         const SAMPLE: usize = 200;
+        /// Fewer triplets show nothing.
+        const FEW: usize = 20;
         let every = triples.len().div_ceil(SAMPLE).max(1);
         let one = |(k, triple): (usize, &[u32; 3])| {
             Some(
-                solve_triplet(&self.common(triple), MOST, &mut stream(options.seed ^ 0x6e6f_6973, k as u64))?.noise_rad,
+                solve_triplet(&self.common(triple), MOST_NOISE_RAD, &mut stream(options.seed ^ 0x6e6f_6973, k as u64))?
+                    .noise_rad,
             )
         };
         let mut found: Vec<f64> = triples.par_iter().step_by(every).enumerate().filter_map(one).collect();
-        if found.is_empty() {
-            return MOST;
+        if found.len() < FEW {
+            return MOST_NOISE_RAD;
         }
         let middle = found.len() / 2;
-        found.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(LEAST, MOST)
+        found.select_nth_unstable_by(middle, f64::total_cmp).1.clamp(LEAST, MOST_NOISE_RAD)
     }
 
     /// Sets of four tracks that many views share, of those views that see few.
@@ -384,7 +391,8 @@ impl Headings {
         };
     }
 
-    /// Solves for the points of each component and resects views that have no heading, until none is added.
+    /// Solves for the points of each component and resects the views without a heading and those of smaller components onto
+    /// them, until none is added.
     fn resect_the_rest(
         &mut self,
         tracks: &Tracks<2>,
@@ -393,14 +401,18 @@ impl Headings {
         options: &HeadingOptions,
     ) -> Result<(), HeadingError> {
         const ROUNDS: usize = 5;
+        /// Points that take a view out of the component it has: two more than fix it.
+        const MOVED: usize = 5;
         let n_components = self.view_component.iter().fold(0, |n, &c| n.max(c + 1));
         for component in 0..n_components {
             for _ in 0..ROUNDS {
-                if !self.view_component.contains(&-1) {
-                    return Ok(());
+                // views of smaller components too: so components that share points become one
+                let is_open = |c: i32| c < 0 || c > component;
+                let open: Vec<usize> = (0..seen.of_view.len()).filter(|&v| is_open(self.view_component[v])).collect();
+                if open.is_empty() || !self.view_component.contains(&component) {
+                    break;
                 }
                 let points = self.points(tracks, component)?;
-                let open: Vec<usize> = (0..seen.of_view.len()).filter(|&v| self.view_component[v] < 0).collect();
                 let found: Vec<_> = open
                     .into_par_iter()
                     .filter_map(|view| {
@@ -409,7 +421,9 @@ impl Headings {
                             .filter_map(|(track, angle)| points[*track as usize].map(|z| (z, *angle)))
                             .collect();
                         let mut rng = stream(options.seed ^ 0x7265_7365, view as u64);
-                        resect(&sights, noise_rad, options.min_points, &mut rng).map(|found| (view, found.heading))
+                        let has_one = self.view_component[view] >= 0;
+                        let least = if has_one { options.min_points.max(MOVED) } else { options.min_points };
+                        resect(&sights, noise_rad, least, &mut rng).map(|found| (view, found.heading))
                     })
                     .collect();
                 for &(view, heading) in &found {
@@ -421,6 +435,10 @@ impl Headings {
                     break;
                 }
             }
+        }
+        self.view_component = by_size(&self.view_component);
+        for (h, &c) in self.heading_rad.iter_mut().zip(&self.view_component) {
+            *h = if c < 0 { f64::NAN } else { *h };
         }
         Ok(())
     }
