@@ -1,13 +1,14 @@
 """Planar headings from nothing: ``find_headings`` beside mean motion and a least-squares fit from random starts.
 
-``python -m benchmarks.headings`` prints, for simulated worlds and the measured landmark logs, how many views are oriented
-(largest component), the errors of their headings after the best common turn, and the seconds.
+``python -m benchmarks.headings`` prints, for simulated worlds and the measured landmark logs, how many views are
+oriented (largest component), the errors of their headings after the best common turn, and the seconds.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "planar_bearings"
 NOISE_RAD = np.radians(0.5)
-REPEATS = 1
+REPEATS = 3
 WORLDS: dict[str, dict[str, Any]] = {
     "box": {"n_views": 20, "n_points": 60},
     "street": {"n_views": 100, "n_points": 1500},
@@ -52,14 +53,8 @@ def main() -> None:
         (read_mrclam(DATA / "dataset_mrclam" / f"mrclam{k}.mat"), least) for k in (1, 2, 4, 6, 9) for least in (4, 3)
     ]:
         tracks = planar_tracks(data)
-        options = pp.HeadingOptions(min_points=least)
-        report(
-            data.name,
-            f"find_headings, min_points={least}",
-            tracks,
-            data.heading_rad,
-            lambda tracks, options=options: triplets(tracks, options),
-        )
+        solve = partial(triplets, options=pp.HeadingOptions(min_points=least))
+        report(data.name, f"find_headings, min_points={least}", tracks, data.heading_rad, solve)
         if least == 4:
             report(data.name, "mean motion", tracks, data.heading_rad, chained)
 
