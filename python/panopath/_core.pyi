@@ -20,6 +20,8 @@ __all__ = [
     "compass_from_bearings",
     "cylindrical_from_bearings",
     "equirectangular_from_bearings",
+    "fit_rotations",
+    "mean_motion",
     "natural_order",
     "perspective_from_bearings",
     "planar_compass_from_bearings",
@@ -32,6 +34,7 @@ __all__ = [
     "simulate",
     "solve_positions",
     "spherical_from_bearings",
+    "start_headings",
     "tracks_from_matches",
     "vertical_field_of_view",
     "view_pairs",
@@ -112,6 +115,7 @@ def relative_poses(
     second: npt.NDArray[np.float64],
     second_from_first: npt.NDArray[np.float64] | None,
     options: Mapping[str, Any],
+) -> dict[str, Any]: ...
 def tracks_from_matches(
     n_features: npt.NDArray[np.int64],
     pairs: npt.NDArray[np.int32],
@@ -119,6 +123,35 @@ def tracks_from_matches(
     matches: npt.NDArray[np.int32],
     min_images: int,
     min_linkage: float,
+) -> dict[str, Any]: ...
+def mean_motion(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
+def fit_rotations(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    centers: npt.NDArray[np.float64],
+    points: npt.NDArray[np.float64],
+    cam_from_world: npt.NDArray[np.float64],
+    weighting: str,
+    share: float,
+) -> npt.NDArray[np.float64]: ...
+def start_headings(
+    view: npt.NDArray[np.int32],
+    track: npt.NDArray[np.int32],
+    bearing: npt.NDArray[np.float64],
+    n_views: int,
+    n_tracks: int,
+    sigma_rad: npt.NDArray[np.float64] | None,
+    options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 
 _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | None

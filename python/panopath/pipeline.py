@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Bool, Float, InputError, PositionOptions, Scene, Status, Tracks, check_orientations
+from panopath.model import Bool, Float, InputError, PositionOptions, Scene, Status, Summary, Tracks, check_orientations
 from panopath.priors import DirectionPriors, Priors, Rig
 from panopath.steps import (
     GravityPriors,
+    HeadingOptions,
     OrientationOptions,
     OrientationPriors,
     RefineOptions,
@@ -23,6 +24,7 @@ from panopath.steps import (
     TwoViewStatus,
     ViewGraphOptions,
     average_rotations,
+    find_headings,
     refine,
     relative_poses,
     solve_positions,
@@ -40,6 +42,8 @@ class ReconstructOptions:
     view_graph: ViewGraphOptions = field(default_factory=ViewGraphOptions)
     two_view: TwoViewOptions = field(default_factory=TwoViewOptions)
     orientation: OrientationOptions = field(default_factory=OrientationOptions)
+    #: In the plane, in the place of the three above.
+    headings: HeadingOptions = field(default_factory=HeadingOptions)
     positions: PositionOptions = field(default_factory=PositionOptions)
     refine: RefineOptions = field(default_factory=RefineOptions)
 
@@ -54,7 +58,7 @@ class ViewOrientations:
     view_component: npt.NDArray[np.int32]
 
 
-def reconstruct_tracks(
+def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are fixed)
     tracks: Tracks,
     orientations: npt.ArrayLike | None = None,
     priors: Priors | None = None,
@@ -119,7 +123,8 @@ def orient_views(
     """
     chosen = ReconstructOptions() if options is None else options
     if tracks.d == 2:
-        return _find_planar(tracks)
+        headings = find_headings(tracks, chosen.headings)
+        return ViewOrientations(headings.heading_rad, headings.view_component)
     pairs = view_pairs(tracks, chosen.view_graph)
     matches = pairs.observation
     found = relative_poses(pairs.start, tracks.bearing[matches[:, 0]], tracks.bearing[matches[:, 1]], chosen.two_view)
@@ -164,7 +169,7 @@ def place_views(tracks: Tracks, oriented: ViewOrientations, options: PositionOpt
 
 
 def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> Scene:
-    """The scene of a further part, made from the observations ``seen``, beside those of the parts before it."""
+    """Put the scene of a further part, made from the observations ``seen``, beside those of the parts before it."""
     base = _nothing(tracks, second.cam_from_world) if first is None else first
     n_before = base.n_components
     views = (second.view_component >= 0) & (base.view_component < 0)
@@ -188,9 +193,7 @@ def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> S
 
 
 def _nothing(tracks: Tracks, cam_from_world: Float) -> Scene:
-    """A scene in which nothing is determined."""
-    from panopath.model import Summary
-
+    """Make a scene in which nothing is determined."""
     return Scene(
         centers=np.full((tracks.n_views, tracks.d), np.nan),
         points=np.full((tracks.n_tracks, tracks.d), np.nan),
@@ -236,7 +239,3 @@ def _orientation_priors(priors: Priors | None) -> list[OrientationPriors | Gravi
         if upward.any():
             found.append(GravityPriors(measured.view[upward], measured.bearing[upward], measured.sigma_rad[upward]))
     return found
-
-
-def _find_planar(tracks: Tracks) -> ViewOrientations:
-    raise NotImplementedError

@@ -3,6 +3,8 @@ use pyo3::prelude::*;
 
 mod convert;
 mod correspondence;
+mod headings;
+mod motion;
 mod orientation;
 mod positions;
 mod refinement;
@@ -17,6 +19,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
     correspondence::register(module)?;
+    headings::register(module)?;
+    motion::register(module)?;
     positions::register(module)?;
     refinement::register(module)?;
     sphere::register(module)?;

@@ -1,10 +1,13 @@
 //! From what an omni-directional camera saw to its path and the space around it.
 //!
-//! The pipeline in words: [`sphere`] turns angles and pixels into bearings; [`tracks`] holds bearings as observations of
-//! points by views; [`orientation`] averages relative rotations of pairs of views to one orientation for each view;
+//! The pipeline in words: [`sphere`] turns angles and pixels into bearings; [`correspondence`] joins matches of features to
+//! tracks; [`tracks`] holds bearings as observations of points by views. Where orientations are unknown, [`view_graph`]
+//! lists pairs of views, [`two_view`] turns them against each other, and [`orientation`] averages that to one orientation
+//! for each view; in the plane [`headings`] takes triplets of views instead, and [`motion`] chains slow sequences.
 //! [`positions`] finds, from bearings of known orientation, the camera centres and the points, says which observations
-//! agree, which parts share a scale and whether the answer is determined, and bounds its covariance.
-//! [`synthetic`] makes worlds with exact truth to test all of it on. [`geometry`] and [`least_squares`] serve the others.
+//! agree and which parts share a scale; [`refinement`] adjusts orientations, centres and points together and says how
+//! well all are known; [`structure`] is what both answer. [`synthetic`] makes worlds with exact truth to test all of it
+//! on. [`geometry`] and [`least_squares`] serve the others.
 //!
 //! An observation of point `x` by a view with centre `c` and orientation `cam_from_world` is the unit vector
 //! `cam_from_world (x - c) / |x - c|`, in the plane (`D = 2`) or in space (`D = 3`). Scenes are known up to translation and
@@ -15,7 +18,9 @@
 mod bundle;
 pub mod correspondence;
 pub mod geometry;
+pub mod headings;
 pub mod least_squares;
+pub mod motion;
 pub mod orientation;
 pub mod positions;
 pub mod refinement;

@@ -1,6 +1,8 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
+from panopath.steps.headings import HeadingOptions, Headings, find_headings
+from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
     GravityPriors,
     HeadingPriors,
@@ -18,7 +20,11 @@ __all__ = [
     "CorrespondenceOptions",
     "FeatureTracks",
     "GravityPriors",
+    "HeadingOptions",
     "HeadingPriors",
+    "Headings",
+    "Motion",
+    "MotionOptions",
     "OrientationOptions",
     "OrientationPriors",
     "Orientations",
@@ -31,6 +37,9 @@ __all__ = [
     "ViewGraphOptions",
     "ViewPairs",
     "average_rotations",
+    "find_headings",
+    "fit_rotations",
+    "mean_motion",
     "position_covariance",
     "refine",
     "relative_pose",
