@@ -104,6 +104,8 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
         rotations = check_orientations(orientations, tracks.n_views, tracks.d)
         oriented = ViewOrientations(rotations, np.zeros(tracks.n_views, dtype=np.int32))
     start = place_views(tracks, oriented, chosen.positions)
+    if rig is not None and known.positions is None:
+        start = metric_scale(tracks, start, rig)
     return refine(tracks, start, replace(chosen.refine, priors=known), rig)
 
 
@@ -136,7 +138,7 @@ def orient_views(
         found.second_from_first[good],
         n_views=tracks.n_views,
         sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
-        priors=_orientation_priors(priors),
+        priors=orientation_priors(priors),
         options=chosen.orientation,
     )
     return ViewOrientations(averaged.cam_from_world, averaged.view_component)
@@ -225,8 +227,8 @@ def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks)
     return replace(priors, directions=DirectionPriors.gravity(known, up[known], _GRAVITY_SIGMA_RAD))
 
 
-def _orientation_priors(priors: Priors | None) -> list[OrientationPriors | GravityPriors]:
-    """Those that tell how views are turned, as averaging takes them."""
+def orientation_priors(priors: Priors | None) -> list[OrientationPriors | GravityPriors]:
+    """Pick those that tell how views are turned, as averaging takes them."""
     found: list[OrientationPriors | GravityPriors] = []
     if priors is None:
         return found
@@ -239,3 +241,31 @@ def _orientation_priors(priors: Priors | None) -> list[OrientationPriors | Gravi
         if upward.any():
             found.append(GravityPriors(measured.view[upward], measured.bearing[upward], measured.sigma_rad[upward]))
     return found
+
+
+#: Sizes of the scene that are tried, against that of the rig: factors of two.
+_SIZES = 2.0 ** np.arange(-4, 14)
+
+
+def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
+    """Bring a scene of unknown size near the size at which the rig's own baselines fit best.
+
+    Cameras are held and points intersected anew at sizes a factor of two apart; a refinement finds the rest.
+    """
+    spread = scene.centers[scene.view_component == 0]
+    if not len(spread):
+        return scene
+    unit = np.linalg.norm(spread - spread.mean(axis=0), axis=1).max()
+    arm = np.linalg.norm(rig.center - rig.center.mean(axis=0), axis=1).max()
+    if not (unit > 0.0 and arm > 0.0):
+        return scene
+    options = RefineOptions(hold_rotations=True, hold_centers=True, reject_outliers=False, max_iterations=8)
+    best, least = scene, np.inf
+    for size in _SIZES:
+        factor = size * arm / unit
+        scaled = replace(scene, centers=factor * scene.centers, points=factor * scene.points)
+        residual = refine(tracks, scaled, options, rig).residual_rad
+        misfit = float(np.nanmean(np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2))
+        if misfit < least:
+            best, least = scaled, misfit
+    return best
