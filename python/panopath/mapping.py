@@ -288,7 +288,7 @@ def _thinned(rows: Index, most: int) -> Index:
 
 
 def _agree_with_orientations(views: _Views, matches: _Matches, oriented: ViewOrientations, options: MapOptions) -> Bool:
-    """Matches that agree with one baseline of their pair, orientations given; all where no baseline is found."""
+    """Judge matches by one baseline for each pair, orientations given."""
     first, second = matches.feature[:, 0], matches.feature[:, 1]
     a, b = views.view[first], views.view[second]
     component = oriented.view_component
@@ -309,7 +309,7 @@ def _agree_with_orientations(views: _Views, matches: _Matches, oriented: ViewOri
 
 
 def _filled(directions: Float) -> Float:
-    """Unit vectors in the place of those that are not known: the core takes no others, and their pairs do not count."""
+    """Put unit vectors in the place of unknown ones: the core takes no others, and these pairs do not count."""
     return np.where(np.isfinite(directions), directions, 1.0 / np.sqrt(3.0))
 
 
@@ -318,7 +318,7 @@ def _turned_back(cam_from_world: Float, view: Index, bearing: Float) -> Float:
 
 
 def _agree_with_poses(views: _Views, matches: _Matches, scene: Scene, options: MapOptions) -> Bool:
-    """Matches whose rays meet, poses given: within the limit of their epipolar plane, and in front of both."""
+    """Judge matches by whether their rays meet, poses given."""
     first, second = matches.feature[:, 0], matches.feature[:, 1]
     a, b = views.view[first], views.view[second]
     known = (scene.view_component[a] >= 0) & (scene.view_component[a] == scene.view_component[b])
@@ -371,7 +371,7 @@ def _tracks(
     return tracks, Rig.of(database.image_camera[features.image], database.sensor_from_rig, database.center_in_rig)
 
 
-def _second_pass(
+def _second_pass(  # noqa: PLR0917
     database: Database,
     views: _Views,
     matches: _Matches,
