@@ -23,11 +23,22 @@ from rich.table import Table
 
 from panopath import _core
 from panopath.evaluate import Alignment, Evaluation, evaluate
-from panopath.formats import read_control, read_problem, read_scene, read_truth, write_scene, write_tracks
-from panopath.formats.csv import Form, write_orientations
+from panopath.formats import (
+    read_control,
+    read_database,
+    read_problem,
+    read_scene,
+    read_truth,
+    write_models,
+    write_scene,
+    write_tracks,
+)
+from panopath.formats.csv import Form, read_vectors, write_orientations
 from panopath.formats.folder import check_writable
+from panopath.formats.models import check_model_folder
 from panopath.formats.parquet import write_parquet
 from panopath.formats.structure import known_scene
+from panopath.mapping import MapOptions, map_database
 from panopath.model import (
     Float,
     Gauge,
@@ -45,8 +56,9 @@ from panopath.model import (
     Tracks,
     summary_dict,
 )
+from panopath.pipeline import ReconstructOptions, fit_to_control, reconstruct_tracks
 from panopath.report import draw_scene
-from panopath.steps import position_covariance, solve_positions
+from panopath.steps import RefineOptions, position_covariance, solve_positions
 from panopath.synthetic import SyntheticWorld, WorldName, simulate
 
 EXIT_INPUT = 2
@@ -176,16 +188,32 @@ def solve(
     max_iterations: Annotated[int | None, typer.Option(min=1, help="Most steps of refinement.")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads to use. Default: all cores.")] = None,
     no_split: Annotated[bool, typer.Option("--no-split", help="Solve as one even where parts share no scale.")] = False,
+    unknown_orientation: Annotated[
+        bool, typer.Option("--unknown-orientation", help="The bearings are in the cameras; find how these are turned.")
+    ] = False,
+    refine_orientation: Annotated[
+        bool, typer.Option("--refine", help="Orientations are about right only: refine them with all else.")
+    ] = False,
+    gravity: Annotated[
+        Path | None, typer.Option(help="CSV view,x,y,z: the upward vertical in each camera, right to half a degree.")
+    ] = None,
     overwrite: Overwrite = False,
     no_plots: NoPlots = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find camera positions and points from bearings of known orientation.
+    """Find camera positions and points from bearings.
 
-    Bearings are directions in the world unless --orientations, or the file itself, says how each view is turned.
+    Bearings are directions in the world unless --orientations, or the file itself, says how each view is turned, or
+    --unknown-orientation that nobody knows.
     """
     terminal = _Terminal(as_json, quiet)
+    if unknown_orientation and (orientations is not None or refine_orientation):
+        raise InputError("--unknown-orientation leaves no place for --orientations or --refine")
+    if gravity is not None and not (unknown_orientation or refine_orientation):
+        raise InputError(
+            "--gravity tells nothing new of known orientations, expected --unknown-orientation or --refine"
+        )
     if out is not None:
         check_writable(out, overwrite)
     options = _position_options(
@@ -204,7 +232,10 @@ def solve(
         problem = _with_sigma(read_problem(tracks, orientations), sigma_deg)
     begin = time.perf_counter()
     with terminal.working("solving"):
-        scene = solve_positions(problem.tracks, problem.cam_from_world, options)
+        if unknown_orientation or refine_orientation:
+            scene = _reconstruct(problem, options, gravity, unknown=unknown_orientation)
+        else:
+            scene = solve_positions(problem.tracks, problem.cam_from_world, options)
     seconds = time.perf_counter() - begin
     pictures = False
     if out is not None:
@@ -212,6 +243,87 @@ def solve(
             pictures = _write(scene, out, options, overwrite, None if no_plots else _Drawing(terminal))
     plain = summary_dict(scene.summary) | {"wall_s": seconds, "out": None if out is None else str(out)}
     terminal.answer(plain, lambda console: _show_scene(console, scene, seconds, out, pictures))
+    if not scene.summary.status.is_determined:
+        raise typer.Exit(EXIT_UNDETERMINED)
+
+
+def _reconstruct(problem: Problem, options: PositionOptions, gravity: Path | None, *, unknown: bool) -> Scene:
+    """Orientations unknown, or free to move; known positions fit the result, turned too."""
+    tracks = problem.tracks
+    rotations = None if unknown else problem.cam_from_world
+    if not unknown and rotations is None:
+        rotations = np.zeros(tracks.n_views) if tracks.d == 2 else np.tile(np.eye(3), (tracks.n_views, 1, 1))
+    plain = replace(options, gauge="normalized" if options.gauge == "control" else options.gauge, control=None)
+    steps = ReconstructOptions(
+        positions=plain, refine=RefineOptions(linear_solver=options.linear_solver, threads=options.threads)
+    )
+    up = None if gravity is None else read_vectors(gravity, tracks)
+    scene = reconstruct_tracks(tracks, rotations, gravity=up, options=steps)
+    return scene if options.control is None else fit_to_control(scene, options.control)
+
+
+@app.command("map", epilog=_EXIT_HELP)
+def map_command(
+    database: Annotated[Path, typer.Argument(help="COLMAP database with features and matches.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the models: OUT/0 is the largest.")],
+    *,
+    min_num_matches: Annotated[int, typer.Option(min=1, help="Leave out pairs with fewer matches.")] = 15,
+    min_track_length: Annotated[int, typer.Option(min=2, help="Fewest images that see a point.")] = 2,
+    max_epipolar_error: Annotated[float, typer.Option(help="Largest angle of a match to its plane, in pixels.")] = 4.0,
+    max_partners: Annotated[int, typer.Option(min=1, help="Pairs to orient, for each view.")] = 20,
+    random_seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    use_prior_position: Annotated[
+        bool, typer.Option("--use-prior-position", help="Put the model where the database's positions say.")
+    ] = False,
+    no_gravity: Annotated[bool, typer.Option("--no-gravity", help="Pass over directions of gravity.")] = False,
+    no_rigs: Annotated[
+        bool, typer.Option("--no-rigs", help="Pass over rigs: each image has a pose of its own.")
+    ] = False,
+    trust_focal_lengths: Annotated[
+        bool, typer.Option("--trust-focal-lengths", help="Take guessed focal lengths as if they were known.")
+    ] = False,
+    no_retriangulation: Annotated[
+        bool, typer.Option("--no-retriangulation", help="Leave tracks as they were joined at first.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Write over models that are there.")] = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Orient and place the images of a COLMAP database; write models that COLMAP's tools open.
+
+    Cameras must be calibrated: intrinsics are taken as they are.
+    """
+    terminal = _Terminal(as_json, quiet)
+    check_model_folder(out, overwrite)
+    options = MapOptions(
+        min_num_matches=min_num_matches,
+        min_track_length=min_track_length,
+        max_epipolar_error_px=max_epipolar_error,
+        max_partners=max_partners,
+        seed=random_seed,
+        use_prior_position=use_prior_position,
+        use_gravity=not no_gravity,
+        retriangulate=not no_retriangulation,
+    )
+    begin = time.perf_counter()
+    with terminal.working("reading"):
+        found = read_database(database, trust_focal_lengths=trust_focal_lengths, use_rigs=not no_rigs)
+    with terminal.working("mapping"):
+        mapped = map_database(found, options)
+    scene = mapped.scene
+    models: list[Path] = []
+    if scene.summary.n_solved_views:
+        with terminal.working("writing"):
+            models = write_models(found, mapped.reconstruction, out)
+    seconds = time.perf_counter() - begin
+    registered = int((mapped.reconstruction.component >= 0).sum())
+    plain = summary_dict(scene.summary) | {
+        "n_images": found.n_images,
+        "n_registered": registered,
+        "models": [str(path) for path in models],
+        "wall_s": seconds,
+    }
+    terminal.answer(plain, lambda console: _show_models(console, scene, registered, found.n_images, models, seconds))
     if not scene.summary.status.is_determined:
         raise typer.Exit(EXIT_UNDETERMINED)
 
@@ -454,6 +566,19 @@ def _show_scene(console: Console, scene: Scene, seconds: float, out: Path | None
         console.print("nothing was written; -o FOLDER writes the scene")
     else:
         console.print(f"written to {out}" + (" (look at views.png and errors.png)" if pictures else ""), markup=False)
+
+
+def _show_models(  # noqa: PLR0917 (prints what was found, all of it)
+    console: Console, scene: Scene, registered: int, n_images: int, models: Sequence[Path], seconds: float
+) -> None:
+    console.print(_parts_table(scene))
+    console.print(f"{_STATUS_TEXT[scene.summary.status]}; {registered:,} of {n_images:,} images, {seconds:.2f} s")
+    if np.isfinite(scene.summary.sigma_rad):
+        console.print(f"accuracy of a feature: {np.degrees(scene.summary.sigma_rad):.4g} degrees")
+    for path in models:
+        console.print(f"model: {path}", markup=False)
+    if not models:
+        console.print("no image could be placed; nothing was written")
 
 
 def _parts_table(scene: Scene) -> Table:

@@ -12,7 +12,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Bool, Float, InputError, PositionOptions, Scene, Status, Summary, Tracks, check_orientations
+from panopath.evaluate import fit_similarity
+from panopath.model import (
+    Bool,
+    Control,
+    Float,
+    InputError,
+    PositionOptions,
+    Scene,
+    Status,
+    Summary,
+    Tracks,
+    check_orientations,
+)
 from panopath.priors import DirectionPriors, Priors, Rig
 from panopath.steps import (
     GravityPriors,
@@ -30,6 +42,7 @@ from panopath.steps import (
     solve_positions,
     view_pairs,
 )
+from panopath.steps.positions import control_rows
 
 #: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
 _LEAST_EDGE_SIGMA_RAD = 1e-4
@@ -245,27 +258,76 @@ def orientation_priors(priors: Priors | None) -> list[OrientationPriors | Gravit
 
 #: Sizes of the scene that are tried, against that of the rig: factors of two.
 _SIZES = 2.0 ** np.arange(-4, 14)
+#: Observations that the trial looks at, about.
+_ENOUGH_OBSERVATIONS = 20_000
 
 
 def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
     """Bring a scene of unknown size near the size at which the rig's own baselines fit best.
 
     Cameras are held and points intersected anew at sizes a factor of two apart; a refinement finds the rest.
+
+    Parameters
+    ----------
+    tracks, rig
+        As for :func:`panopath.refine`.
+    scene
+        Right but for its size.
     """
-    spread = scene.centers[scene.view_component == 0]
-    if not len(spread):
+    placed = scene.centers[scene.view_component == 0]
+    if not len(placed):
         return scene
-    unit = np.linalg.norm(spread - spread.mean(axis=0), axis=1).max()
+    extent = np.linalg.norm(placed - placed.mean(axis=0), axis=1).max()
     arm = np.linalg.norm(rig.center - rig.center.mean(axis=0), axis=1).max()
-    if not (unit > 0.0 and arm > 0.0):
+    if not (extent > 0.0 and arm > 0.0):
         return scene
     options = RefineOptions(hold_rotations=True, hold_centers=True, reject_outliers=False, max_iterations=8)
-    best, least = scene, np.inf
-    for size in _SIZES:
-        factor = size * arm / unit
-        scaled = replace(scene, centers=factor * scene.centers, points=factor * scene.points)
-        residual = refine(tracks, scaled, options, rig).residual_rad
-        misfit = float(np.nanmean(np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2))
-        if misfit < least:
-            best, least = scaled, misfit
-    return best
+    some = tracks.track % (1 + len(tracks) // _ENOUGH_OBSERVATIONS) == 0
+    sample = tracks.select(some)
+    sensors = replace(rig, sensor=rig.sensor[some])
+    trial = replace(scene, tracks=None, inlier=scene.inlier[some], residual_rad=scene.residual_rad[some])
+    factors = _SIZES * arm / extent
+    misfit = []
+    for factor in factors:
+        scaled = replace(trial, centers=factor * scene.centers, points=factor * scene.points)
+        residual = refine(sample, scaled, options, sensors).residual_rad
+        misfit.append(float(np.nanmean(np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2)))
+    best = factors[int(np.argmin(misfit))]
+    return replace(scene, centers=best * scene.centers, points=best * scene.points)
+
+
+def fit_to_control(scene: Scene, control: Control) -> Scene:
+    """Turn, shift and scale each component to known positions, by least squares.
+
+    Raises
+    ------
+    InputError
+        Where fewer than two known positions belong to one component.
+    """
+    if scene.tracks is None:
+        raise InputError("the scene does not know its tracks, so control cannot be looked up")
+    views, view_positions, points, point_positions = control_rows(control, scene.tracks)
+    centers, places = np.full_like(scene.centers, np.nan), np.full_like(scene.points, np.nan)
+    centers[views], places[points] = view_positions, point_positions
+    rotation, known = np.array(scene.cam_from_world), False
+    center, point = np.array(scene.centers), np.array(scene.points)
+    for part in range(scene.n_components):
+        in_views, in_points = scene.view_component == part, scene.track_component == part
+        found = np.concatenate((scene.centers[in_views], scene.points[in_points]))
+        truth = np.concatenate((centers[in_views], places[in_points]))
+        given = np.isfinite(truth).all(axis=1)
+        if given.sum() < 2:
+            continue
+        known = True
+        scale, turn, shift = fit_similarity(found[given], truth[given])
+        center[in_views] = scale * scene.centers[in_views] @ turn.T + shift
+        point[in_points] = scale * scene.points[in_points] @ turn.T + shift
+        if scene.d == 2:
+            rotation[in_views] += np.arctan2(turn[1, 0], turn[0, 0])
+        else:
+            rotation[in_views] = scene.cam_from_world[in_views] @ turn.T
+    if not known:
+        raise InputError(
+            "control: fewer than two of the known positions belong to one solved part, expected at least two"
+        )
+    return replace(scene, centers=center, points=point, cam_from_world=rotation)

@@ -144,6 +144,41 @@ def read_orientations(path: str | PathLike[str], tracks: Tracks) -> Float:
     return heading_rad if tracks.d == 2 else _turned_about_z(heading_rad)
 
 
+def read_vectors(path: str | PathLike[str], tracks: Tracks) -> Float:
+    """Read a unit vector in the camera for each view that has one: columns ``view,x,y,z``, of any length but zero.
+
+    Returns
+    -------
+    array
+        (n_views, 3), NaN for views that the file does not name.
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column.
+    """
+    source = str(path)
+    data = check_text(read_bytes(Path(path)), source)
+    header = header_of(data, source)
+    wanted = ("x", "y", "z")
+    if not {"view", *wanted} <= set(header):
+        raise InputError(f"{source}: expected the columns view,x,y,z (columns: {','.join(header)})")
+    roles = ["name" if n == "view" else "number" if n in wanted else "skip" for n in header]
+    table = read_table(data, source, header, roles)
+    codes, names = table.names["view"]
+    index_of = {name: index for index, name in enumerate(tracks.view_labels())}
+    vectors = np.stack([table.numbers[name] for name in wanted], axis=1)
+    length = np.linalg.norm(vectors, axis=1)
+    found = np.full((tracks.n_views, 3), np.nan)
+    for row, code in enumerate(codes.tolist()):
+        view = index_of.get(names[code], -1)
+        if not (np.isfinite(length[row]) and length[row] > 0.0):
+            raise InputError(f"{source}: {table.where(row)}: x,y,z is not a direction")
+        if view >= 0:
+            found[view] = vectors[row] / length[row]
+    return found
+
+
 def _row_of_each_view(table: Table, tracks: Tracks) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Row of each view's orientation, -1 for a view without observations that has none."""
     codes, names = table.names["view"]

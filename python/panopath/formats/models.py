@@ -136,6 +136,23 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
     return written
 
 
+def check_model_folder(folder: str | PathLike[str], overwrite: bool = False) -> None:
+    """Say now, before long work, whether models may be written here.
+
+    Raises
+    ------
+    InputError
+        Where ``folder`` is a file, or holds a model already and ``overwrite`` is not asked for.
+    """
+    place = Path(folder)
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{place}: is a file, expected a folder to write to")
+    if not overwrite:
+        for path in (place, *(p for p in place.glob("*") if p.is_dir() and p.name.isdecimal())):
+            if any((path / f"images.{suffix}").exists() for suffix in ("bin", "txt")):
+                raise InputError(f"{path}: holds a model already; name another folder or ask for --overwrite")
+
+
 def _used(found: Reconstruction) -> tuple[Bool, Index]:
     """Observations that a model can hold, and the component of each point, -1 where no two agree on one."""
     n_parts = int(found.component.max(initial=-1)) + 1

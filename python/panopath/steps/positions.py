@@ -153,7 +153,7 @@ def _start(start: Scene | Start, tracks: Tracks) -> tuple[Float, Float]:
 
 def _core_options(options: PositionOptions, tracks: Tracks) -> dict[str, Any]:
     plain = {name: value for name, value in options.__dict__.items() if name != "control"}
-    views, view_positions, points, point_positions = _control(options.control, tracks)
+    views, view_positions, points, point_positions = control_rows(options.control, tracks)
     plain["control_views"] = views
     plain["control_view_positions"] = view_positions
     plain["control_tracks"] = points
@@ -162,7 +162,8 @@ def _core_options(options: PositionOptions, tracks: Tracks) -> dict[str, Any]:
     return plain
 
 
-def _control(control: Control | None, tracks: Tracks) -> tuple[Int, Float, Int, Float]:
+def control_rows(control: Control | None, tracks: Tracks) -> tuple[Int, Float, Int, Float]:
+    """Look up views and tracks: their indices and known positions."""
     if control is None:
         none, nowhere = np.empty(0, dtype=np.int32), np.empty((0, tracks.d))
         return none, nowhere, none, nowhere

@@ -336,8 +336,8 @@ impl<const D: usize> Piece<D> {
         weakest_mode_is_loose(system, &weights, &gauge, step_of, refined.sigma)
     }
 
-    /// Takes out what the gauge let drift: the mean turn of the views, their centroid and their rms distance from it are
-    /// those of the start again.
+    /// Takes out what the gauge let drift: the mean turn of the views, their centroid and, where nothing fixes it, their rms
+    /// distance from it are those of the start again.
     fn align_to_start(&self, state: &mut State<D>) {
         let mut correlation = [[0.0; D]; D];
         for (before, after) in self.poses.cam_from_world.iter().zip(&state.poses.cam_from_world) {
@@ -352,8 +352,13 @@ impl<const D: usize> Piece<D> {
         let pairs: Vec<(Vector<D>, Vector<D>)> = (state.poses.centers.iter().zip(&self.poses.centers))
             .map(|(after, before)| (rotation.apply(&after.vector::<D>()), before.vector::<D>()))
             .collect();
-        let Some(shift) = Similarity::fit_unrotated(&pairs) else { return };
-        let start_from_end = Similarity { rotation, ..shift };
+        let start_from_end = if self.gauge.scale {
+            let Some(shift) = Similarity::fit_unrotated(&pairs) else { return };
+            Similarity { rotation, ..shift }
+        } else {
+            // lever arms fix the size
+            Similarity { scale: 1.0, rotation, translation: mean_difference(&pairs) }
+        };
         let place = |x: &mut Lanes| *x = Lanes::from_vector::<D>(&start_from_end.apply(&x.vector::<D>()));
         state.poses.centers.iter_mut().for_each(place);
         state.estimate.centers.iter_mut().for_each(place);
@@ -398,6 +403,12 @@ impl<const D: usize> Piece<D> {
             }
         }
     }
+}
+
+/// Mean of the second of each pair less that of the first.
+fn mean_difference<const D: usize>(pairs: &[(Vector<D>, Vector<D>)]) -> Vector<D> {
+    let n = pairs.len().max(1) as f64;
+    std::array::from_fn(|c| pairs.iter().map(|(a, b)| b[c] - a[c]).sum::<f64>() / n)
 }
 
 /// Where a refinement ended.
