@@ -94,8 +94,8 @@ def test_headings_add_up_as_documented() -> None:
     space = pp.average_rotations(first, second, upright[second] @ upright[first].transpose(0, 2, 1))
     turned = np.arctan2(space.cam_from_world[:, 0, 1], space.cam_from_world[:, 0, 0])
     np.testing.assert_allclose(np.angle(np.exp(1j * (turned - found.cam_from_world))), 0.0, atol=1e-9)
-    compass = pp.HeadingPriors([4], [heading[4]], 0.01)
-    for priors in (compass, pp.OrientationPriors([4], [heading[4]], 0.01)):
+    compass = pp.Priors(headings=pp.HeadingPriors.of([4], [heading[4]], 0.01))
+    for priors in (compass, pp.Priors(rotations=pp.RotationPriors.of([4], [heading[4]], 0.01))):
         absolute = pp.average_rotations(first, second, heading[second] - heading[first], priors=priors)
         np.testing.assert_allclose(np.angle(np.exp(1j * (absolute.cam_from_world - heading))), 0.0, atol=1e-9)
 
@@ -106,10 +106,12 @@ def test_priors_fix_the_world() -> None:
     up = truth[:, :, 2]
     forward = truth[:, 2, :]
     heading = np.arctan2(forward[:, 1], forward[:, 0])
-    whole = pp.OrientationPriors(views, truth[views], 0.01)
-    blocks = pp.OrientationPriors(views, truth[views], np.tile(np.diag([1e-4, 1e-4, 2e-4]), (len(views), 1, 1)))
-    level = [pp.GravityPriors(views, up[views], 0.1 * DEG), pp.HeadingPriors(views, heading[views], 0.1 * DEG)]
-    exact = [pp.GravityPriors(np.arange(40), up, 1e-6), pp.HeadingPriors(views, heading[views], 0.1 * DEG)]
+    whole = pp.Priors(rotations=pp.RotationPriors.of(views, truth[views], 0.01))
+    covariance = np.tile(np.diag([1e-4, 1e-4, 2e-4]), (len(views), 1, 1))
+    blocks = pp.Priors(rotations=pp.RotationPriors.of(views, truth[views], covariance=covariance))
+    headings = pp.HeadingPriors.of(views, heading[views], 0.1 * DEG)
+    level = pp.Priors(directions=pp.DirectionPriors.gravity(views, up[views], 0.1 * DEG), headings=headings)
+    exact = pp.Priors(directions=pp.DirectionPriors.gravity(np.arange(40), up, 1e-6), headings=headings)
     cases: list[Any] = [whole, blocks, level, exact]
     for priors in cases:
         found = pp.average_rotations(first, second, relative, sigma_rad=0.5 * DEG, priors=priors)
@@ -165,12 +167,8 @@ def test_parts_and_nothing() -> None:
         ({"n_views": 2}, "n_views is 2, expected a whole number above the largest view, 2"),
         ({"sigma_rad": [1.0, 2.0]}, r"sigma_rad has shape \(2,\), expected \(3,\)"),
         ({"sigma_rad": -1.0}, r"edges\[0\] has sigma_rad -1"),
-        ({"priors": [3]}, r"priors\[0\] is a int"),
-        ({"priors": pp.GravityPriors([0], [[0.0, 0.0, 2.0]], 0.1)}, "up_in_cam of length 2"),
-        ({"priors": pp.GravityPriors([0], [[0.0, 0.0]], 0.1)}, r"priors\[0\].up_in_cam has shape"),
-        ({"priors": pp.HeadingPriors([0, 1], [0.0, np.nan], 0.1)}, r"priors\[1\] has heading_rad NaN"),
-        ({"priors": pp.OrientationPriors([0], np.eye(3)[None], 0.0)}, "covariance"),
-        ({"priors": pp.OrientationPriors([0], 2.0 * np.eye(3)[None], 0.1)}, r"cam_from_world\[0\] is not a rotation"),
+        ({"priors": [3]}, r"priors is a list, expected Priors"),
+        ({"priors": pp.Priors(headings=pp.HeadingPriors.of([9], [0.0], 0.1)), "n_views": 3}, "largest view, 9"),
     ],
 )
 def test_errors_name_the_entry(changes: dict[str, Any], message: str) -> None:
@@ -181,6 +179,44 @@ def test_errors_name_the_entry(changes: dict[str, Any], message: str) -> None:
     }
     with pytest.raises(pp.InputError, match=message):
         pp.average_rotations(**{**good, **changes})
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: pp.DirectionPriors.gravity([0], [[0.0, 0.0, 2.0]], 0.1), r"bearing\[0\] is not a unit vector"),
+        (lambda: pp.DirectionPriors.gravity([0], [[0.0]], 0.1), "bearing has shape"),
+        (lambda: pp.DirectionPriors.gravity([0], [[0.0, 0.0, 1.0]], 0.0), r"sigma_rad\[0\] is 0.0"),
+        (lambda: pp.HeadingPriors.of([0, 1], [0.0, np.nan], 0.1), r"heading_rad\[1\] is not finite"),
+        (lambda: pp.HeadingPriors.of([0, 1], [0.0], 0.1), "heading_rad has shape"),
+        (lambda: pp.RotationPriors.of([0], np.eye(3)[None], 0.0), r"sigma_rad\[0\] is 0.0"),
+        (lambda: pp.RotationPriors.of([0], 2.0 * np.eye(3)[None], 0.1), r"cam_from_world\[0\] is"),
+        (lambda: pp.RotationPriors.of([0], np.eye(3)[None]), "expected either sigma_rad or covariance"),
+        (lambda: pp.RotationPriors.of([-1], np.eye(3)[None], 0.1), "view holds -1"),
+        (lambda: pp.PositionPriors.of([0], [[0.0, np.inf, 0.0]], 0.1), r"center\[0\] is not finite"),
+        (lambda: pp.PositionPriors.of([0], [[0.0, 0.0]], covariance=np.eye(3)[None]), "covariance has shape"),
+        (lambda: pp.Priors(**{"headings": 3}), "headings is a int, expected HeadingPriors"),
+    ],
+)
+def test_priors_are_checked(make: Any, message: str) -> None:
+    with pytest.raises(pp.InputError, match=message):
+        make()
+
+
+def test_a_heading_counts_in_refinement_as_in_averaging() -> None:
+    """Under known gravity a compass turns the refined scene about the vertical to where it says."""
+    world = pp.simulate("street", n_views=20, n_points=300, noise_rad=1e-4, seed=3)
+    start = pp.solve_positions(world.tracks, world.cam_from_world)
+    views = np.arange(20)
+    gravity = pp.DirectionPriors.gravity(views, world.cam_from_world[:, :, 2], 1e-3)
+    ahead = np.einsum("nji,j->ni", world.cam_from_world, [1.0, 0.0, 0.0])
+    said = np.arctan2(ahead[:, 1], ahead[:, 0]) + 0.3
+    compass = pp.HeadingPriors.of(views, said, 1e-3, forward=(1.0, 0.0, 0.0))
+    scene = pp.refine(world.tracks, start, pp.RefineOptions(priors=pp.Priors(directions=gravity, headings=compass)))
+    found = np.einsum("nji,j->ni", scene.cam_from_world, [1.0, 0.0, 0.0])
+    error = np.angle(np.exp(1j * (np.arctan2(found[:, 1], found[:, 0]) - said)))
+    assert np.abs(error).max() < 1e-3
+    np.testing.assert_allclose(scene.cam_from_world[:, :, 2], world.cam_from_world[:, :, 2], atol=2e-3)
 
 
 @pytest.mark.parametrize("wrong", [{"max_iterations": 0}, {"threads": -1}, {"linear_solver": "x"}, {"covariance": 1}])

@@ -27,18 +27,15 @@ from panopath.model import (
     Summary,
     Tracks,
 )
-from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig, RotationPriors
+from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
     CorrespondenceOptions,
     FeatureTracks,
-    GravityPriors,
     HeadingOptions,
-    HeadingPriors,
     Headings,
     Motion,
     MotionOptions,
     OrientationOptions,
-    OrientationPriors,
     Orientations,
     RefineOptions,
     SceneCovariance,
@@ -72,7 +69,6 @@ __all__ = [
     "DirectionPriors",
     "Evaluation",
     "FeatureTracks",
-    "GravityPriors",
     "HeadingOptions",
     "HeadingPriors",
     "Headings",
@@ -81,7 +77,6 @@ __all__ = [
     "Motion",
     "MotionOptions",
     "OrientationOptions",
-    "OrientationPriors",
     "Orientations",
     "PanopathError",
     "PositionOptions",

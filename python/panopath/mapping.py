@@ -17,7 +17,7 @@ import numpy.typing as npt
 from panopath.formats.database import Database
 from panopath.formats.models import Reconstruction
 from panopath.model import Bool, Float, InputError, Scene, Tracks
-from panopath.pipeline import ReconstructOptions, ViewOrientations, metric_scale, orientation_priors, place_views
+from panopath.pipeline import ReconstructOptions, ViewOrientations, metric_scale, place_views
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig
 from panopath.steps import (
     CorrespondenceOptions,
@@ -255,7 +255,7 @@ def _orient(views: _Views, matches: _Matches, priors: Priors, options: MapOption
         found.second_from_first[good],
         n_views=n_views,
         sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
-        priors=orientation_priors(priors),
+        priors=priors,
         options=options.steps.orientation,
     )
     return ViewOrientations(averaged.cam_from_world, averaged.view_component)

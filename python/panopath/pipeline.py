@@ -27,10 +27,8 @@ from panopath.model import (
 )
 from panopath.priors import DirectionPriors, Priors, Rig
 from panopath.steps import (
-    GravityPriors,
     HeadingOptions,
     OrientationOptions,
-    OrientationPriors,
     RefineOptions,
     TwoViewOptions,
     TwoViewStatus,
@@ -151,7 +149,7 @@ def orient_views(
         found.second_from_first[good],
         n_views=tracks.n_views,
         sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
-        priors=orientation_priors(priors),
+        priors=priors,
         options=chosen.orientation,
     )
     return ViewOrientations(averaged.cam_from_world, averaged.view_component)
@@ -238,22 +236,6 @@ def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks)
         raise InputError("gravity and priors.directions are both given, expected one of them")
     known = np.flatnonzero(np.isfinite(up).all(axis=1))
     return replace(priors, directions=DirectionPriors.gravity(known, up[known], _GRAVITY_SIGMA_RAD))
-
-
-def orientation_priors(priors: Priors | None) -> list[OrientationPriors | GravityPriors]:
-    """Pick those that tell how views are turned, as averaging takes them."""
-    found: list[OrientationPriors | GravityPriors] = []
-    if priors is None:
-        return found
-    if priors.rotations is not None:
-        known = priors.rotations
-        found.append(OrientationPriors(known.view, known.cam_from_world, known.covariance))
-    if priors.directions is not None:
-        measured = priors.directions
-        upward = measured.direction[:, 2] > 1.0 - 1e-9
-        if upward.any():
-            found.append(GravityPriors(measured.view[upward], measured.bearing[upward], measured.sigma_rad[upward]))
-    return found
 
 
 #: Sizes of the scene that are tried, against that of the rig: factors of two.

@@ -121,20 +121,91 @@ class PositionPriors:
         return cls(ids, read_only(centers), _covariances(len(ids), d, sigma, covariance, "sigma"))
 
 
+@dataclass(frozen=True, eq=False)
+class HeadingPriors:
+    """Compass readings: the horizontal direction in which an axis of a camera points. Make them with :meth:`of`.
+
+    In space they count where the vertical is known, by gravity or by an orientation.
+    """
+
+    #: (n,) int32.
+    view: Int
+    #: (n,) angles in the world, anticlockwise from x, radians.
+    heading_rad: Float
+    #: (n,) standard deviation, radians.
+    sigma_rad: Float
+    #: (n, 3) the axis in the camera: z in space (forward), x in the plane, unless said otherwise.
+    forward: Float
+
+    @classmethod
+    def of(
+        cls,
+        view: npt.ArrayLike,
+        heading_rad: npt.ArrayLike,
+        sigma_rad: npt.ArrayLike,
+        forward: npt.ArrayLike = (0.0, 0.0, 1.0),
+    ) -> HeadingPriors:
+        """Check and make them; one ``sigma_rad`` and one ``forward`` (3,) may stand for all.
+
+        Raises
+        ------
+        InputError
+            Naming the argument and the first entry that is wrong.
+        """
+        ids = _views(view)
+        headings = np.array(np.asarray(heading_rad, dtype=np.float64))
+        if headings.shape != ids.shape:
+            raise InputError(f"heading_rad has shape {headings.shape}, expected {ids.shape}")
+        if not np.isfinite(headings).all():
+            raise InputError(f"heading_rad[{int(np.argmin(np.isfinite(headings)))}] is not finite, expected an angle")
+        axes = np.broadcast_to(np.asarray(forward, dtype=np.float64), (len(ids), 3))
+        return cls(
+            ids, read_only(headings), _positive("sigma_rad", sigma_rad, len(ids)), _units("forward", axes, len(ids))
+        )
+
+    def as_rotations(self, cam_from_world: Float) -> RotationPriors:
+        """Priors of orientation that say the same near the given ones: about the vertical, next to nothing about tilt.
+
+        Parameters
+        ----------
+        cam_from_world
+            (n_views, 3, 3) rotations, or (n_views,) headings in radians.
+        """
+        if cam_from_world.ndim == 1:
+            return RotationPriors.of(self.view, self.heading_rad, self.sigma_rad)
+        rotation = cam_from_world[self.view]
+        ahead = np.einsum("nji,nj->ni", rotation, self.forward)
+        turn = self.heading_rad - np.arctan2(ahead[:, 1], ahead[:, 0])
+        cos, sin, zero, one = np.cos(turn), np.sin(turn), np.zeros_like(turn), np.ones_like(turn)
+        # cameras turn by `turn` about z: cam_from_world Rz(-turn)
+        about_z = np.stack((cos, sin, zero, -sin, cos, zero, zero, zero, one), axis=1).reshape(-1, 3, 3)
+        up = rotation[:, :, 2]
+        vertical = up[:, :, None] * up[:, None, :]
+        covariance = self.sigma_rad[:, None, None] ** 2 * vertical + _NO_TILT_RAD2 * (np.eye(3) - vertical)
+        return RotationPriors.of(self.view, rotation @ about_z, covariance=covariance)
+
+
+#: Variance of a tilt of which nothing is known, rad^2.
+_NO_TILT_RAD2 = 100.0
+
+
 @dataclass(frozen=True)
 class Priors:
     """All that is known beforehand."""
 
     rotations: RotationPriors | None = None
     directions: DirectionPriors | None = None
+    headings: HeadingPriors | None = None
     positions: PositionPriors | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (
+        kinds = (
             ("rotations", RotationPriors),
             ("directions", DirectionPriors),
+            ("headings", HeadingPriors),
             ("positions", PositionPriors),
-        ):
+        )
+        for name, kind in kinds:
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
@@ -142,7 +213,7 @@ class Priors:
     @property
     def is_empty(self) -> bool:
         """Whether nothing is known."""
-        return self.rotations is None and self.directions is None and self.positions is None
+        return all(prior is None for prior in (self.rotations, self.directions, self.headings, self.positions))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,7 @@ from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, 
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
-    GravityPriors,
-    HeadingPriors,
     OrientationOptions,
-    OrientationPriors,
     Orientations,
     average_rotations,
 )
@@ -19,14 +16,11 @@ from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 __all__ = [
     "CorrespondenceOptions",
     "FeatureTracks",
-    "GravityPriors",
     "HeadingOptions",
-    "HeadingPriors",
     "Headings",
     "Motion",
     "MotionOptions",
     "OrientationOptions",
-    "OrientationPriors",
     "Orientations",
     "RefineOptions",
     "SceneCovariance",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -11,55 +10,13 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.model import Bool, Float, InputError, Int, LinearSolver, Status, read_only
+from panopath.priors import Priors
 from panopath.steps.common import call_core
 
+#: How far from one the height of a direction may be that counts as vertical.
+_VERTICAL = 1e-9
 #: Noise of an edge about each axis where nothing is stated, radians; only its ratio to the priors' matters.
 DEFAULT_SIGMA_RAD = float(np.deg2rad(1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class OrientationPriors:
-    """Measured orientations of some views."""
-
-    #: (m,) views, each one once.
-    view: npt.ArrayLike
-    #: (m, 3, 3) rotations, or (m,) headings in radians in the plane.
-    cam_from_world: npt.ArrayLike
-    #: (m, 3, 3) covariance of the small rotation that leads from the measured to the true orientation, applied on the
-    #: left, in the camera; or one standard deviation about every axis, or (m,) of them. Radians squared, or radians.
-    covariance: npt.ArrayLike
-
-
-@dataclass(frozen=True, eq=False)
-class GravityPriors:
-    """Where up is in the cameras of some views, as an accelerometer tells it. Space only."""
-
-    #: (m,) views, each one once.
-    view: npt.ArrayLike
-    #: (m, 3) unit vectors: world z in the camera.
-    up_in_cam: npt.ArrayLike
-    #: Standard deviation along each tangent direction in radians, one or (m,).
-    sigma_rad: npt.ArrayLike
-
-
-@dataclass(frozen=True, eq=False)
-class HeadingPriors:
-    """Compass readings: the horizontal direction in which a camera axis points.
-
-    In space they count where the vertical is known, by gravity or orientation of any view of the part.
-    """
-
-    #: (m,) views, each one once.
-    view: npt.ArrayLike
-    #: (m,) angles in the world, anticlockwise from x, radians.
-    heading_rad: npt.ArrayLike
-    #: Standard deviation in radians, one or (m,).
-    sigma_rad: npt.ArrayLike
-    #: The camera axis, (3,) or (m, 3) unit vectors; None: z in space (forward), x in the plane.
-    forward: npt.ArrayLike | None = None
-
-
-Priors = OrientationPriors | GravityPriors | HeadingPriors
 
 
 @dataclass(frozen=True)
@@ -130,7 +87,7 @@ def average_rotations(
     *,
     n_views: int | None = None,
     sigma_rad: npt.ArrayLike | None = None,
-    priors: Priors | Sequence[Priors] | None = None,
+    priors: Priors | None = None,
     options: OrientationOptions | None = None,
 ) -> Orientations:
     """Orientations of all views from relative rotations of pairs, some of which may be wrong.
@@ -149,8 +106,9 @@ def average_rotations(
         Standard deviation of the relative rotations about each axis in radians, one or (n_edges,). None: unknown, the
         same for all; it is then found from the loops.
     priors
-        What is known of single views: :class:`OrientationPriors`, :class:`GravityPriors`, :class:`HeadingPriors`. They
-        are weighed by their sigmas and not searched for wrong ones.
+        What is known of single views: orientations, the vertical (directions that are z in the world; others are
+        passed over), headings. They are weighed by their sigmas and not searched for wrong ones. A view has one of
+        each at most.
     options
         Choices; default ``OrientationOptions()``.
 
@@ -181,8 +139,9 @@ def average_rotations(
         if len(view) != n:
             raise InputError(f"{name} has {len(view)} rows, expected {n}")
     sigma = _each("sigma_rad", DEFAULT_SIGMA_RAD if sigma_rad is None else sigma_rad, n)
-    given = [priors] if isinstance(priors, Priors) else list(priors or ())
-    tables = [_prior_table(f"priors[{k}]", prior, is_planar=turns.ndim == 1) for k, prior in enumerate(given)]
+    if priors is not None and not isinstance(priors, Priors):
+        raise InputError(f"priors is a {type(priors).__name__}, expected Priors")
+    tables = _prior_tables(Priors() if priors is None else priors, is_planar=turns.ndim == 1)
     largest = max((int(view.max()) for view in [*ends, *(table[1] for table in tables)] if len(view)), default=-1)
     found = call_core(
         _core.average_rotations,
@@ -209,27 +168,28 @@ def _orientations(found: dict[str, Any], has_covariance: bool) -> Orientations:
     )
 
 
-def _prior_table(name: str, prior: Any, *, is_planar: bool) -> tuple[Any, ...]:
-    """Kind, views and arrays of one prior record, all of one length."""
-    if not isinstance(prior, Priors):
-        raise InputError(f"{name} is a {type(prior).__name__}, expected Orientation-, Gravity- or HeadingPriors")
-    view = _views(f"{name}.view", prior.view).astype(np.uint32)
-    m = len(view)
-    if isinstance(prior, OrientationPriors):
-        rotation = _shaped(f"{name}.cam_from_world", prior.cam_from_world, (m,) if is_planar else (m, 3, 3))
-        spread = _numbers(f"{name}.covariance", prior.covariance)
-        if spread.ndim < 3:
-            spread = _each(f"{name}.covariance", spread, m)[:, None, None] ** 2 * np.eye(3)
-        return "orientation", view, rotation, _shaped(f"{name}.covariance", spread, (m, 3, 3))
-    sigma = _each(f"{name}.sigma_rad", prior.sigma_rad, m)
-    if isinstance(prior, GravityPriors):
-        return "gravity", view, _shaped(f"{name}.up_in_cam", prior.up_in_cam, (m, 3)), sigma
-    usual = (1.0, 0.0, 0.0) if is_planar else (0.0, 0.0, 1.0)
-    forward = _numbers(f"{name}.forward", usual if prior.forward is None else prior.forward)
-    if forward.shape == (3,):
-        forward = np.tile(forward, (m, 1))
-    heading = _shaped(f"{name}.heading_rad", prior.heading_rad, (m,))
-    return "heading", view, heading, sigma, _shaped(f"{name}.forward", forward, (m, 3))
+def _prior_tables(priors: Priors, *, is_planar: bool) -> list[tuple[Any, ...]]:
+    """Kind, views and arrays of each prior that tells of orientation."""
+    tables: list[tuple[Any, ...]] = []
+    if priors.rotations is not None:
+        known = priors.rotations
+        if (known.cam_from_world.ndim == 1) != is_planar:
+            raise InputError("priors.rotations and second_from_first are not both of the plane, or both of space")
+        covariance = known.covariance
+        if is_planar:
+            covariance = covariance[:, :1, :1] * np.eye(3)
+        tables.append(("orientation", known.view.astype(np.uint32), known.cam_from_world, covariance))
+    if priors.directions is not None and not is_planar:
+        measured = priors.directions
+        upward = measured.direction[:, 2] > 1.0 - _VERTICAL
+        views = measured.view[upward].astype(np.uint32)
+        tables.append(("gravity", views, measured.bearing[upward], measured.sigma_rad[upward]))
+    if priors.headings is not None:
+        compass = priors.headings
+        forward = np.broadcast_to([1.0, 0.0, 0.0], compass.forward.shape) if is_planar else compass.forward
+        views = compass.view.astype(np.uint32)
+        tables.append(("heading", views, compass.heading_rad, compass.sigma_rad, np.ascontiguousarray(forward)))
+    return tables
 
 
 def _count(n_views: int | None, largest: int) -> int:

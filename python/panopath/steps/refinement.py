@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.model import Bool, Float, InputError, LinearSolver, Scene, Tracks, read_only
-from panopath.priors import Priors, Rig
+from panopath.priors import Priors, Rig, RotationPriors
 from panopath.steps.common import call_core
 from panopath.steps.positions import scene_of
 
@@ -96,7 +96,7 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
         tracks.sigma_rad,
         scene.cam_from_world,
         (scene.centers, scene.points, scene.view_component, scene.track_component),
-        _core_options(chosen, tracks, rig),
+        _core_options(chosen, tracks, rig, scene.cam_from_world),
     )
     return scene_of(found, tracks)
 
@@ -171,7 +171,7 @@ def scene_covariance(  # noqa: PLR0917 (the public names and their order are fix
         scene.inlier,
         relative_to,
         sigma,
-        _core_options(chosen, tracks, rig),
+        _core_options(chosen, tracks, rig, scene.cam_from_world),
     )
     return SceneCovariance(read_only(cameras), read_only(points))
 
@@ -184,7 +184,7 @@ def check_scene(scene: Scene, tracks: Tracks) -> None:
         raise InputError(f"{scene!r} is not a scene of {tracks!r}")
 
 
-def _core_options(options: RefineOptions, tracks: Tracks, rig: Rig | None) -> dict[str, Any]:
+def _core_options(options: RefineOptions, tracks: Tracks, rig: Rig | None, cam_from_world: Float) -> dict[str, Any]:
     return {
         "hold_rotations": _mask("hold_rotations", options.hold_rotations, tracks.n_views),
         "hold_centers": _mask("hold_centers", options.hold_centers, tracks.n_views),
@@ -195,8 +195,23 @@ def _core_options(options: RefineOptions, tracks: Tracks, rig: Rig | None) -> di
         "max_iterations": options.max_iterations,
         "linear_solver": options.linear_solver,
         "threads": options.threads,
-        **prior_columns(options.priors, tracks.d),
+        **prior_columns(_without_headings(options.priors, cam_from_world), tracks.d),
     }
+
+
+def _without_headings(priors: Priors, cam_from_world: Float) -> Priors:
+    """Turn headings into priors of orientation, about the orientations at hand."""
+    if priors.headings is None:
+        return priors
+    turned = priors.headings.as_rotations(cam_from_world)
+    if priors.rotations is not None:
+        known = priors.rotations
+        turned = RotationPriors.of(
+            np.concatenate((known.view, turned.view)),
+            np.concatenate((known.cam_from_world, turned.cam_from_world)),
+            covariance=np.concatenate((known.covariance, turned.covariance)),
+        )
+    return replace(priors, rotations=turned, headings=None)
 
 
 def rig_columns(rig: Rig, tracks: Tracks) -> tuple[Any, Any]:
