@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import panopath as pp
@@ -195,7 +195,7 @@ def test_errors_name_the_entry(changes: dict[str, Any], message: str) -> None:
         (lambda: pp.RotationPriors.of([-1], np.eye(3)[None], 0.1), "view holds -1"),
         (lambda: pp.PositionPriors.of([0], [[0.0, np.inf, 0.0]], 0.1), r"center\[0\] is not finite"),
         (lambda: pp.PositionPriors.of([0], [[0.0, 0.0]], covariance=np.eye(3)[None]), "covariance has shape"),
-        (lambda: pp.Priors(**{"headings": 3}), "headings is a int, expected HeadingPriors"),
+        (lambda: pp.Priors(headings=cast(Any, 3)), "headings is a int, expected HeadingPriors"),
     ],
 )
 def test_priors_are_checked(make: Any, message: str) -> None:
