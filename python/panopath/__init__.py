@@ -15,6 +15,7 @@ from panopath.formats import (
     write_scene,
     write_tracks,
 )
+from panopath.mapping import MapOptions, MappedDatabase, map_database
 from panopath.model import (
     Control,
     InputError,
@@ -27,6 +28,7 @@ from panopath.model import (
     Summary,
     Tracks,
 )
+from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
     CorrespondenceOptions,
@@ -73,6 +75,8 @@ __all__ = [
     "HeadingPriors",
     "Headings",
     "InputError",
+    "MapOptions",
+    "MappedDatabase",
     "MissingExtraError",
     "Motion",
     "MotionOptions",
@@ -83,6 +87,7 @@ __all__ = [
     "PositionPriors",
     "Priors",
     "Problem",
+    "ReconstructOptions",
     "Reconstruction",
     "RefineOptions",
     "Rig",
@@ -98,13 +103,17 @@ __all__ = [
     "TwoViewStatus",
     "TwoViews",
     "ViewGraphOptions",
+    "ViewOrientations",
     "ViewPairs",
     "__version__",
     "average_rotations",
     "evaluate",
     "find_headings",
     "fit_rotations",
+    "map_database",
     "mean_motion",
+    "orient_views",
+    "place_views",
     "position_covariance",
     "read_control",
     "read_database",
@@ -112,6 +121,7 @@ __all__ = [
     "read_scene",
     "read_tracks",
     "read_truth",
+    "reconstruct_tracks",
     "refine",
     "relative_pose",
     "relative_poses",
