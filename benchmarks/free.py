@@ -1,4 +1,4 @@
-"""Orientations that err or are unknown, and long chains, against the optimum: ``python -m benchmarks.free [--seeds N]``.
+"""Orientations that err or are unknown, long chains, against the optimum: ``python -m benchmarks.free [--seeds N]``.
 
 The optimum is the refinement started from the truth: what a perfect start would give on the same noise.
 """
@@ -14,6 +14,7 @@ from statistics import median
 from typing import Any
 
 import panopath as pp
+from panopath.evaluate import Alignment
 from panopath.formats.structure import known_scene
 from panopath.model import Scene
 from panopath.synthetic import SyntheticWorld
@@ -67,7 +68,7 @@ def solve(case: Case, world: SyntheticWorld) -> Scene:
 
 
 def optimum(case: Case, world: SyntheticWorld, seed: int) -> Scene:
-    """The same from the truth."""
+    """Find the same from the truth."""
     true = case.make(seed, 0.0)
     if case.held:
         return pp.solve_positions(world.tracks, true.cam_from_world, start=(true.centers, true.points))
@@ -87,7 +88,7 @@ def main() -> None:
             began = time.perf_counter()
             scene = solve(case, world)
             seconds.append(time.perf_counter() - began)
-            alignment = "translation_scale" if case.held else "similarity"
+            alignment: Alignment = "translation_scale" if case.held else "similarity"
             errors.append(pp.evaluate(scene, world, alignment).camera_rms)
             best.append(pp.evaluate(optimum(case, world, seed), world, alignment).camera_rms)
             ratios.append(errors[-1] / best[-1])

@@ -26,7 +26,8 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
         "Bundle adjustment",
         ("benchmarks.refinement",),
         "All free, the same start, against `pycolmap.bundle_adjustment` on EQUIRECTANGULAR cameras with its default "
-        "options. Covariances are of all cameras and points. Promised: 8x on the street, 3x in the room, rms no larger.",
+        "options. Covariances are of all cameras and points. Promised: 8x on the street, 3x in the room, rms no "
+        "larger.",
     ),
     (
         "free",
@@ -38,8 +39,8 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
         "averaging",
         "Rotation averaging",
         ("benchmarks.orientations", "--repeats", "3"),
-        "Against `pycolmap.run_rotation_averaging`: a path of 30 neighbours a view with loop closures, 20 % of the edges "
-        "wrong. Promised: error no larger, 5x less time.",
+        "Against `pycolmap.run_rotation_averaging`: a path of 30 neighbours a view with loop closures, 20 % of the "
+        "edges wrong. Promised: error no larger, 5x less time.",
     ),
     (
         "map",

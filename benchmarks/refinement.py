@@ -1,8 +1,8 @@
 """Bundle adjustment against COLMAP's: ``python -m benchmarks.refinement [--scale S] [--repeats R]``.
 
 Both refine the same start, rotations free: positions solved with orientations that err by 0.2 degrees. COLMAP's
-adjustment is given the start as a model of one EQUIRECTANGULAR camera and its default options. Both answers are judged by
-the same angles, on the sphere.
+adjustment is given the start as a model of one EQUIRECTANGULAR camera and its default options. Both answers are judged
+by the same angles, on the sphere.
 """
 
 from __future__ import annotations
