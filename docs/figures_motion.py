@@ -1,6 +1,6 @@
 """Study of mean motion: error of the orientation against baseline over depth, and against the number of steps.
 
-``python -m docs.figures_motion`` prints the table of docs/method-motion.md and draws its picture.
+``python -m docs.figures_motion`` prints the table of docs/method/mean-motion.md and draws its picture.
 """
 
 from __future__ import annotations

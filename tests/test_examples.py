@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import panopath as pp
+import pytest
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -25,6 +26,18 @@ def number(pattern: str, text: str) -> float:
     found = re.search(pattern, text)
     assert found is not None, f"{pattern!r} is not in {text!r}"
     return float(found.group(1))
+
+
+def test_colmap_map(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    said = run("colmap_map", tmp_path, "map")
+    assert "converged" in said
+    assert "25 of 25 images" in said
+    assert number(r"camera error ([\d.]+) %", said) < 0.5
+    assert "pycolmap opens it: 25 images, 400 points" in said
+    # the noise is one pixel along each axis: its mean length is the root of pi / 2
+    assert 1.0 < number(r"reprojection error ([\d.]+) px", said) < 1.4
+    assert {path.stem for path in (tmp_path / "map" / "0").iterdir()} >= {"cameras", "images", "points3D"}
 
 
 def test_coast_survey(tmp_path: Path) -> None:
