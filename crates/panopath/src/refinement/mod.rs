@@ -21,6 +21,7 @@ use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
 use crate::tracks::Tracks;
 
+mod align;
 mod covariance;
 mod descent;
 mod gauge;
@@ -217,7 +218,7 @@ impl<const D: usize> Piece<D> {
         if observations.is_empty() {
             return Ok(None);
         }
-        let world_from_start = align_to_priors(&views, start, options);
+        let world_from_start = align::world_from_start(&views, start, options);
         let centers: Vec<Vector<D>> =
             views.iter().map(|&v| world_from_start.apply(&start.centers[v as usize])).collect();
         let piece_from_world = unit_frame(&centers);
@@ -547,19 +548,6 @@ fn precisions<const D: usize>(tracks: &Tracks<D>) -> Option<Vec<f64>> {
 
 fn turned<const D: usize>(views: &[u32], start: &Structure<D>, start_from_world: &Rotation<D>) -> Vec<Rotation<D>> {
     views.iter().map(|&v| start.cam_from_world[v as usize].compose(start_from_world)).collect()
-}
-
-/// Fits the start to the positions that are known beforehand, so that it begins near its end.
-fn align_to_priors<const D: usize>(views: &[u32], start: &Structure<D>, options: &RefineOptions<D>) -> Similarity<D> {
-    let Priors { rotations, directions, positions } = &options.priors;
-    let of_component = positions.iter().filter(|p| views.binary_search(&p.view).is_ok());
-    let pairs: Vec<_> = of_component.map(|p| (start.centers[p.view as usize], p.center)).collect();
-    if holds_any(&options.held, views) || pairs.len() < 2 {
-        return Similarity::identity();
-    }
-    let turns_too = rotations.is_empty() && directions.is_empty() && pairs.len() >= D;
-    let fitted = if turns_too { Similarity::fit(&pairs) } else { Similarity::fit_unrotated(&pairs) };
-    fitted.unwrap_or(Similarity::identity())
 }
 
 /// Centroid to zero, rms distance from it to one.
