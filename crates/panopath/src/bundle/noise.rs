@@ -45,7 +45,7 @@ impl FitSize {
         for j in 0..part.n_tracks() {
             let kept = part.observations(j).filter(|&o| among(o)).count();
             observations += kept;
-            points += usize::from(kept > 0);
+            points += usize::from(kept > 0 && !part.holds_point(j));
         }
         let unknowns = D * points + part.camera_freedom;
         Self { observations, equations: (D - 1) * observations, unknowns }
@@ -69,10 +69,10 @@ pub(crate) fn sigma_of_inliers<const D: usize>(part: &Part<D>, chords: &[f64], k
     (freedom > 0).then(|| (squared / freedom as f64).sqrt().max(SIGMA_FLOOR_RAD))
 }
 
-/// Observations within a limit of their prediction, of points that keep at least two views.
+/// Observations within a limit of their prediction, of points that keep at least two views or are held.
 pub(crate) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], limit: f64) -> Vec<bool> {
     let mut keep: Vec<bool> = chords.iter().map(|&e| e < limit).collect();
-    for j in 0..part.n_tracks() {
+    for j in (0..part.n_tracks()).filter(|&j| !part.holds_point(j)) {
         let mut views = part.observations(j).filter(|&o| keep[o]).map(|o| part.node_of(o));
         let first = views.next();
         if !views.any(|view| Some(view) != first) {

@@ -80,6 +80,8 @@ pub(crate) struct Layout {
     pub has_repeats: bool,
     /// Runs of tracks that are summed apart and then added in this order.
     pub chunks: Vec<Range<usize>>,
+    /// Tracks whose point is known and stays; empty for none.
+    pub held_points: Vec<bool>,
     /// Which track of the input each track is.
     pub input_track: Vec<u32>,
     /// Which observation of the input each observation is.
@@ -98,6 +100,12 @@ impl Layout {
     #[inline(always)]
     pub fn observations(&self, j: usize) -> Range<usize> {
         self.start[j] as usize..self.start[j + 1] as usize
+    }
+
+    /// Is the point of a track known, and no unknown?
+    #[inline(always)]
+    pub fn holds_point(&self, j: usize) -> bool {
+        self.held_points.get(j).copied().unwrap_or(false)
     }
 
     /// Node that made an observation.
@@ -142,6 +150,15 @@ impl<const D: usize> Part<D> {
     /// The same observations with other rays.
     pub fn with_rays<const E: usize>(&self, ray: Vec<Lanes>) -> Part<E> {
         Part { layout: Arc::clone(&self.layout), ray }
+    }
+
+    /// The same with points that stay: all that `stays` holds for, by track of the input.
+    pub fn holding(mut self, stays: impl Fn(u32) -> bool) -> Self {
+        let held: Vec<bool> = self.input_track.iter().map(|&t| stays(t)).collect();
+        if let Some(layout) = Arc::get_mut(&mut self.layout).filter(|_| held.contains(&true)) {
+            layout.held_points = held;
+        }
+        self
     }
 
     /// Lays out these observations of the input, with their local views and rays.
@@ -200,6 +217,7 @@ impl<const D: usize> Part<D> {
             n_nodes,
             camera_freedom,
             has_repeats,
+            held_points: Vec::new(),
             chunks,
             input_track,
             input_observation,

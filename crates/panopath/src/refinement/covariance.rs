@@ -13,7 +13,7 @@ use super::descent::State;
 use super::gauge::{Gauge, inner, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
-use super::{Piece, check, components_of_tracks};
+use super::{Piece, check, components_of_tracks, components_of_views};
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::part::{Lanes, Part};
 use crate::bundle::reduced::{Damping, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node};
@@ -69,8 +69,7 @@ pub fn covariance<const D: usize, const V: usize>(
         cameras: vec![[[f64::NAN; V]; V]; tracks.n_views()],
         points: vec![[[f64::NAN; D]; D]; tracks.n_tracks()],
     };
-    let n_components = scene.view_component.iter().fold(0, |n, &c| n.max(c + 1));
-    for component in 0..n_components {
+    for component in components_of_views(scene) {
         let Some(piece) = Piece::lay_out(tracks, scene, &component_of_track, component, options)? else { continue };
         let reference = match gauge {
             CovarianceGauge::Cameras => None,
@@ -110,7 +109,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
         let held = with_scale_held(piece, &state);
         let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);
-        let turns = turns_of(piece, &state);
+        let turns = turns_of(&state);
         let terms = piece.priors.terms(&state.poses, sigma);
         system.assemble(part, &weights, &turns, &terms, Damping { point: 0.0, view: 0.0 });
         let pattern = system.pattern().clone();
@@ -133,7 +132,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
             let to_answer = self.in_camera(node, to_world);
             answer.cameras[view as usize] = congruent(&to_answer, block).map(|row| row.map(|x| x * sigma * sigma));
         }
-        let points = self.points(piece, &blocks);
+        let points = self.points(&blocks);
         for (&track, point) in piece.part.input_track.iter().zip(points) {
             answer.points[track as usize] = point.map(|row| row.map(|x| x * (sigma * to_world).powi(2)));
         }
@@ -176,13 +175,13 @@ impl<const D: usize, const V: usize> Information<D, V> {
     }
 
     /// Covariance of each point of the part, in its own unit and that of sigma.
-    fn points(&self, piece: &Piece<D>, blocks: &[[[f64; V]; V]]) -> Vec<Matrix<D>> {
+    fn points(&self, blocks: &[[[f64; V]; V]]) -> Vec<Matrix<D>> {
         let State { part, .. } = &self.state;
         let weights = weights(part, &self.state, &self.keep);
-        let turns = turns_of(piece, &self.state);
+        let turns = turns_of(&self.state);
         let tracks: Vec<usize> = (0..part.n_tracks()).collect();
         let covariance = |&j: &usize| {
-            if piece.held_points.get(j) == Some(&true) {
+            if part.holds_point(j) {
                 return [[0.0; D]; D];
             }
             let mut sum = PointSum::<D>::new();
@@ -245,9 +244,9 @@ fn weights<'a, const D: usize>(part: &'a Part<D>, state: &'a State<D>, keep: &'a
     NewtonWeights { residuals, estimate: &state.estimate }
 }
 
-fn turns_of<'a, const D: usize>(piece: &'a Piece<D>, state: &'a State<D>) -> Turns<'a, D> {
+fn turns_of<const D: usize>(state: &State<D>) -> Turns<'_, D> {
     let State { poses, part, estimate } = state;
-    Turns { part, centers: &poses.centers, points: &estimate.points, held: &piece.held_points }
+    Turns { part, centers: &poses.centers, points: &estimate.points }
 }
 
 /// The unknowns that the piece holds, and one coordinate of the centre farthest from the pinned one where the scale is free.

@@ -105,8 +105,6 @@ pub(super) struct Turns<'a, const D: usize> {
     pub part: &'a Part<D>,
     pub centers: &'a [Lanes],
     pub points: &'a [Lanes],
-    /// Tracks whose point stays; empty for none.
-    pub held: &'a [bool],
 }
 
 impl<const D: usize> Turns<'_, D> {
@@ -149,7 +147,7 @@ impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
 
     #[inline(always)]
     fn holds_point(&self, j: usize) -> bool {
-        self.held.get(j).copied().unwrap_or(false)
+        self.part.holds_point(j)
     }
 }
 

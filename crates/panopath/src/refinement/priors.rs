@@ -79,6 +79,15 @@ impl<const D: usize> PartPriors<D> {
         self.directions.iter().all(|(_, d)| 1.0 - dot(&d.direction, &self.directions[0].1.direction).abs() < PARALLEL)
     }
 
+    /// Unknowns of each node that its own priors fix, at most as many as it has of a kind.
+    pub fn rows(&self, n_nodes: usize) -> Vec<usize> {
+        let (mut of_turn, mut of_place) = (vec![0; n_nodes], vec![0; n_nodes]);
+        self.rotations.iter().for_each(|(node, ..)| of_turn[*node as usize] += turns(D));
+        self.directions.iter().for_each(|(node, _)| of_turn[*node as usize] += D - 1);
+        self.positions.iter().for_each(|(node, ..)| of_place[*node as usize] += D);
+        of_turn.iter().zip(&of_place).map(|(turn, place)| turns(D).min(*turn) + D.min(*place)).collect()
+    }
+
     /// Nodes with a known position, and where, in the frame of the piece.
     pub fn positions(&self) -> impl Iterator<Item = (u32, Vector<D>)> {
         self.positions.iter().map(|(node, center, _)| (*node, *center))
