@@ -42,12 +42,16 @@ pub(crate) struct FitSize {
 impl FitSize {
     pub fn of<const D: usize>(part: &Part<D>, among: impl Fn(usize) -> bool) -> Self {
         let (mut observations, mut points) = (0, 0);
+        let mut is_told = vec![false; part.n_nodes];
         for j in 0..part.n_tracks() {
-            let kept = part.observations(j).filter(|&o| among(o)).count();
+            let kept =
+                part.observations(j).filter(|&o| among(o)).inspect(|&o| is_told[part.node_of(o) as usize] = true);
+            let kept = kept.count();
             observations += kept;
             points += usize::from(kept > 0 && !part.holds_point(j));
         }
-        let unknowns = D * points + part.camera_freedom;
+        let of_cameras: usize = part.node_freedom.iter().zip(&is_told).filter(|(_, told)| **told).map(|(n, _)| n).sum();
+        let unknowns = D * points + of_cameras.saturating_sub(part.gauge_freedom);
         Self { observations, equations: (D - 1) * observations, unknowns }
     }
 }

@@ -13,7 +13,7 @@ use super::descent::State;
 use super::gauge::{Gauge, inner, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
-use super::{Piece, check, components_of_tracks, components_of_views};
+use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::part::{Lanes, Part};
 use crate::bundle::reduced::{Damping, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node};
@@ -70,7 +70,7 @@ pub fn covariance<const D: usize, const V: usize>(
         points: vec![[[f64::NAN; D]; D]; tracks.n_tracks()],
     };
     for component in components_of_views(scene) {
-        let Some(piece) = Piece::lay_out(tracks, scene, &component_of_track, component, options)? else { continue };
+        let Some((piece, keep)) = told_piece(tracks, scene, &component_of_track, component, options)? else { continue };
         let reference = match gauge {
             CovarianceGauge::Cameras => None,
             CovarianceGauge::View(view) => match piece.views.binary_search(&view) {
@@ -79,13 +79,41 @@ pub fn covariance<const D: usize, const V: usize>(
                 Err(_) => continue,
             },
         };
-        let keep: Vec<bool> = (piece.part.input_observation.iter())
-            .map(|&o| scene.inlier.is_empty() || scene.inlier[o as usize])
-            .collect();
         let information = Information::<D, V>::assemble(&piece, keep, sigma_rad)?;
         information.write(&piece, reference, sigma_rad, &mut answer)?;
     }
     Ok(answer)
+}
+
+/// A component without the views that too few observations tell of, and the observations that count.
+fn told_piece<const D: usize>(
+    tracks: &Tracks<D>,
+    scene: &Structure<D>,
+    component_of_track: &[i32],
+    component: i32,
+    options: &RefineOptions<D>,
+) -> Result<Option<(Piece<D>, Vec<bool>)>, RefineError> {
+    let mut told = scene.clone();
+    loop {
+        let Some(piece) = Piece::lay_out(tracks, &told, component_of_track, component, options)? else {
+            return Ok(None);
+        };
+        let part = &piece.part;
+        let counts = |o: usize| scene.inlier.is_empty() || scene.inlier[part.input_observation[o] as usize];
+        let mut keep: Vec<bool> = (0..part.n_observations()).map(counts).collect();
+        for j in (0..part.n_tracks()).filter(|&j| !piece.points[j].0.iter().all(|x| x.is_finite())) {
+            keep[part.observations(j)].fill(false);
+        }
+        let keep = without_starved(part, &keep, &piece.wanted);
+        let mut is_told = vec![false; piece.views.len()];
+        (0..part.n_observations()).filter(|&o| keep[o]).for_each(|o| is_told[part.node_of(o) as usize] = true);
+        if !is_told.contains(&false) {
+            return Ok(Some((piece, keep)));
+        }
+        for (&view, _) in piece.views.iter().zip(&is_told).filter(|(_, told)| !**told) {
+            told.view_component[view as usize] = -1;
+        }
+    }
 }
 
 /// The information of one component and what its inversion needs.
@@ -98,14 +126,9 @@ struct Information<const D: usize, const V: usize> {
 }
 
 impl<const D: usize, const V: usize> Information<D, V> {
-    fn assemble(piece: &Piece<D>, mut keep: Vec<bool>, sigma: f64) -> Result<Self, LeastSquaresError> {
+    fn assemble(piece: &Piece<D>, keep: Vec<bool>, sigma: f64) -> Result<Self, LeastSquaresError> {
         let state = State::new(&piece.sights, &piece.part, piece.poses.clone(), piece.points.clone());
         let part = &state.part;
-        for j in 0..part.n_tracks() {
-            if !state.estimate.points[j].0.iter().all(|x| x.is_finite()) {
-                keep[part.observations(j)].fill(false);
-            }
-        }
         let held = with_scale_held(piece, &state);
         let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);

@@ -17,7 +17,7 @@ use crate::bundle::noise::{
 };
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
-use crate::bundle::reduced::{Damping, most_observed_node};
+use crate::bundle::reduced::{Damping, Factorised, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
 use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
@@ -247,12 +247,11 @@ impl<const D: usize> Piece<D> {
         let has_levers = stations.lever.iter().any(|a| a.iter().any(|x| *x != 0.0));
         let gauge = Gauge::of(&views, &poses.centers, &options.held, &priors, holds_points, has_levers);
         let free = free_unknowns::<D>(&views, &options.held);
-        let freedom = free.iter().sum::<usize>().saturating_sub(gauge.dim());
         let known_rows = priors.rows(views.len());
         let wanted = free.iter().zip(&known_rows).map(|(free, known)| free.saturating_sub(*known)).collect();
         let precision = precisions(tracks);
         let part = Part::new(
-            Stations { node: stations.node.clone(), camera_freedom: freedom },
+            Stations { node: stations.node.clone(), node_freedom: free, gauge_freedom: gauge.dim() },
             tracks.n_tracks(),
             &observations,
             tracks.track(),
@@ -333,7 +332,12 @@ impl<const D: usize> Piece<D> {
             Err(LeastSquaresError::Singular { .. }) => return Ok(true),
             other => other?,
         }
-        let gauge = GaugeBasis::new(self.gauge.basis::<V>(&poses.centers));
+        let mut basis = self.gauge.basis::<V>(&poses.centers);
+        for freedom in &mut basis {
+            // views that nothing tells of do not move
+            freedom.iter_mut().zip(system.diagonal()).filter(|(_, d)| **d <= 0.0).for_each(|(x, _)| *x = 0.0);
+        }
+        let gauge = GaugeBasis::new(basis);
         let step_of =
             |x: &[f64]| PoseStep::<D, V> { layout: part, centers: &poses.centers, step: x.as_chunks::<V>().0.to_vec() };
         weakest_mode_is_loose(system, &weights, &gauge, step_of, refined.sigma)
