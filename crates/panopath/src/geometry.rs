@@ -167,15 +167,14 @@ impl<const D: usize> Rotation<D> {
         let axis: [f64; 3] = std::array::from_fn(entry);
         let (sine, cosine) = (0.5 * norm(&axis), 0.5 * (m(0, 0) + m(1, 1) + m(2, 2) - 1.0));
         let angle = sine.atan2(cosine);
-        if sine > 1e-6 {
-            return axis.map(|x| x * 0.5 * angle / sine);
-        }
         if cosine > 0.0 {
-            return axis.map(|x| 0.5 * x);
+            let stretch = if sine > 0.0 { angle / sine } else { 1.0 };
+            return axis.map(|x| 0.5 * x * stretch);
         }
-        // half a turn: the symmetric part is 2 a a^T - I, whose largest column holds the axis
+        // towards half a turn the sine loses the axis; the symmetric part is cos I + (1 - cos) a a^T, whose largest column
+        // holds it
         let k = (0..3).fold(0, |best, c| if m(c, c) > m(best, best) { c } else { best });
-        let column: [f64; 3] = std::array::from_fn(|r| 0.5 * (m(r, k) + m(k, r)) + if r == k { 1.0 } else { 0.0 });
+        let column: [f64; 3] = std::array::from_fn(|r| 0.5 * (m(r, k) + m(k, r)) - if r == k { cosine } else { 0.0 });
         let sign = if dot(&column, &axis) < 0.0 { -1.0 } else { 1.0 };
         scale(sign * angle, &normalized(&column))
     }

@@ -190,9 +190,8 @@ fn reference<const D: usize>(case: &Case<D>, view: Option<usize>) -> Vec<Vec<f64
             })
             .collect(),
         Some(view) => {
-            let mut rows: Vec<Vec<f64>> = (0..v)
-                .map(|k| (0..columns.len()).map(|c| f64::from(u8::from(c == view * v + k))).collect())
-                .collect();
+            let mut rows: Vec<Vec<f64>> =
+                (0..v).map(|k| (0..columns.len()).map(|c| f64::from(u8::from(c == view * v + k))).collect()).collect();
             let mut spread = vec![0.0; columns.len()];
             for i in 0..n {
                 let arm = sub(&case.scene.centers[i], &case.scene.centers[view]);
@@ -300,16 +299,22 @@ fn priors_equal_the_dense_reference() {
     let up = [0.0, 0.0, 1.0];
     let cams = fresh().scene.cam_from_world;
     let centers = fresh().scene.centers;
-    let rotation =
-        |view: usize| RotationPrior { view: view as u32, cam_from_world: cams[view], covariance: variances([1e-4, 4e-4, 2e-4]) };
+    let rotation = |view: usize| RotationPrior {
+        view: view as u32,
+        cam_from_world: cams[view],
+        covariance: variances([1e-4, 4e-4, 2e-4]),
+    };
     let direction = |view: usize| DirectionPrior {
         view: view as u32,
         bearing: cams[view].apply(&up),
         direction: up,
         sigma_rad: 0.01,
     };
-    let position =
-        |view: usize| PositionPrior { view: view as u32, center: centers[view], covariance: variances([1e-2, 2e-2, 4e-2]) };
+    let position = |view: usize| PositionPrior {
+        view: view as u32,
+        center: centers[view],
+        covariance: variances([1e-2, 2e-2, 4e-2]),
+    };
     for (priors, free, what) in [
         (Priors { rotations: vec![rotation(2)], ..Default::default() }, Free::Unturned, "a compass"),
         (Priors { directions: (0..5).map(direction).collect(), ..Default::default() }, Free::AboutVertical, "gravity"),
@@ -383,8 +388,9 @@ fn a_similarity_takes_covariances_with_it() {
             same_block(|a, b| other.cameras[i][a][b], wanted, 6, &format!("{gauge:?}, view {i}"));
         }
         for j in 0..30 {
-            let half: Matrix<3> =
-                std::array::from_fn(|a| std::array::from_fn(|b| (0..3).map(|k| s * r[a][k] * one.points[j][k][b]).sum()));
+            let half: Matrix<3> = std::array::from_fn(|a| {
+                std::array::from_fn(|b| (0..3).map(|k| s * r[a][k] * one.points[j][k][b]).sum())
+            });
             let wanted = |a: usize, b: usize| (0..3).map(|k| half[a][k] * s * r[b][k]).sum::<f64>();
             same_block(|a, b| other.points[j][a][b], wanted, 3, &format!("{gauge:?}, point {j}"));
         }
@@ -399,7 +405,8 @@ fn relative_to_a_view_its_pose_is_certain() {
     assert!(trace(4) < 1e-12 * trace(0), "{:?}", found.cameras[4]);
     // inner constraints have the least trace of centres of all gauges that fix a similarity
     let inner = covariance::<3, 6>(&it.tracks, &it.scene, &it.options, CovarianceGauge::Cameras, SIGMA).unwrap();
-    let of_centers = |c: &Covariances<3, 6>| c.cameras.iter().map(|m| (3..6).map(|k| m[k][k]).sum::<f64>()).sum::<f64>();
+    let of_centers =
+        |c: &Covariances<3, 6>| c.cameras.iter().map(|m| (3..6).map(|k| m[k][k]).sum::<f64>()).sum::<f64>();
     assert!(of_centers(&inner) < of_centers(&found));
 }
 

@@ -15,8 +15,11 @@ use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
 use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
 use crate::bundle::newton::{NewtonWeights, Residuals};
+use crate::bundle::noise::FitSize;
 use crate::bundle::part::{Lanes, Part};
-use crate::bundle::reduced::{Damping, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node};
+use crate::bundle::reduced::{
+    Damping, Factorised, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node,
+};
 use crate::geometry::Matrix;
 use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse};
 use crate::structure::Structure;
@@ -129,6 +132,11 @@ impl<const D: usize, const V: usize> Information<D, V> {
     fn assemble(piece: &Piece<D>, keep: Vec<bool>, sigma: f64) -> Result<Self, LeastSquaresError> {
         let state = State::new(&piece.sights, &piece.part, piece.poses.clone(), piece.points.clone());
         let part = &state.part;
+        let size = FitSize::of(part, |o| keep[o]);
+        let known: usize = piece.priors.rows(piece.views.len()).iter().sum();
+        if size.equations + known < size.unknowns {
+            return Err(LeastSquaresError::Singular { pivot: 0 });
+        }
         let held = with_scale_held(piece, &state);
         let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);
@@ -137,6 +145,9 @@ impl<const D: usize, const V: usize> Information<D, V> {
         system.assemble(part, &weights, &turns, &terms, Damping { point: 0.0, view: 0.0 });
         let pattern = system.pattern().clone();
         let inverse = SelectedInverse::new(&pattern, system.values())?;
+        if let Some(pivot) = undetermined(&inverse, &pattern, system.diagonal(), &held) {
+            return Err(LeastSquaresError::Singular { pivot });
+        }
         Ok(Self { keep, pattern, inverse, held, state })
     }
 
@@ -260,6 +271,22 @@ impl<const D: usize, const V: usize> Information<D, V> {
         let block = &blocks[k];
         Some(if a >= b { *block } else { std::array::from_fn(|r| std::array::from_fn(|c| block[c][r])) })
     }
+}
+
+/// An unknown whose variance is beyond what rounding lets a singular system have; `diagonal` is what it would cost alone.
+fn undetermined<const V: usize>(
+    inverse: &SelectedInverse<V>,
+    pattern: &BlockPattern,
+    diagonal: &[f64],
+    held: &[bool],
+) -> Option<usize> {
+    const LOST: f64 = 1e13;
+    let is_lost = |&k: &usize| {
+        let block = inverse.block(k / V, k / V).unwrap_or([[f64::NAN; V]; V]);
+        let share = block[k % V][k % V] * diagonal[k];
+        !held[k] && (share.is_nan() || share > LOST)
+    };
+    (0..pattern.n_nodes() * V).find(is_lost)
 }
 
 fn weights<'a, const D: usize>(part: &'a Part<D>, state: &'a State<D>, keep: &'a [bool]) -> NewtonWeights<'a, D> {

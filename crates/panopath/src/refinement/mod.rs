@@ -25,6 +25,8 @@ use crate::tracks::Tracks;
 
 mod covariance;
 mod descent;
+#[cfg(test)]
+mod differences;
 mod gauge;
 mod options;
 mod poses;
