@@ -551,7 +551,7 @@ fn check_rig<const D: usize, const V: usize>() {
     for noise in [0.0, 1e-4] {
         let (scene, tracks, rig) = two_sensors::<D>(noise);
         let options = RefineOptions { rig: Some(rig), ..plain() };
-        for size in [0.7, 1.0, 1.4] {
+        for size in [0.1, 0.7, 1.0, 10.0] {
             let smaller = Similarity { scale: size, ..Similarity::identity() };
             let start = moved(&disturbed(&scene, 0.02, 0.02, 5), &smaller);
             let found = refined::<D, V>(&tracks, &start, &options);
