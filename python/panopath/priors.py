@@ -75,7 +75,12 @@ class DirectionPriors:
         """
         ids = _views(view)
         bearings = _units("bearing", bearing, len(ids))
-        towards = np.broadcast_to(np.asarray(direction, dtype=np.float64), bearings.shape)
+        towards = np.asarray(direction, dtype=np.float64)
+        if towards.shape not in (bearings.shape, bearings.shape[1:]):
+            raise InputError(
+                f"direction has shape {towards.shape}, expected {bearings.shape[1:]} or {bearings.shape} as of bearing"
+            )
+        towards = np.broadcast_to(towards, bearings.shape)
         return cls(ids, bearings, _units("direction", towards, len(ids)), _positive("sigma_rad", sigma_rad, len(ids)))
 
     @classmethod
@@ -265,6 +270,8 @@ def _views(values: npt.ArrayLike, name: str = "view") -> Int:
         raise InputError(f"{name} has type {ids.dtype} and shape {ids.shape}, expected (n,) whole numbers")
     if ids.size and ids.min() < 0:
         raise InputError(f"{name} holds {ids.min()}, expected 0 or more")
+    if ids.size and ids.max() > np.iinfo(np.int32).max:
+        raise InputError(f"{name} holds {ids.max()}, expected at most {np.iinfo(np.int32).max}")
     return read_only(np.ascontiguousarray(ids, dtype=np.int32))
 
 

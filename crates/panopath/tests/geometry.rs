@@ -250,3 +250,60 @@ fn a_fit_minimises_the_squared_distance() {
         }
     }
 }
+
+/// Exponential and turn are inverse to each other, and agree with the group.
+fn check_turns<const D: usize>(phi: &[f64; 3], what: &str) {
+    let n_turns = D * (D - 1) / 2;
+    let angle = norm(phi);
+    let r = Rotation::<D>::exp_of(&phi[..n_turns]);
+    assert!(Rotation::from_matrix(*r.matrix()).is_some(), "{what}: no rotation");
+    let turn = r.turn();
+    assert!(turn[n_turns..].iter().all(|&x| x == 0.0), "{what}: entries beyond the turn");
+    assert!(norm(&turn) <= std::f64::consts::PI * (1.0 + 1e-15), "{what}: of at most pi");
+    let again = Rotation::<D>::exp_of(&turn[..n_turns]);
+    assert!(distance(&again, &r) < 1e-14 + 4e-15 * angle, "{what}: exp(turn(R)) is R, {}", distance(&again, &r));
+    if angle < std::f64::consts::PI - 1e-5 {
+        let off = norm(&sub(&turn, phi));
+        assert!(off <= 1e-15 + 1e-14 * angle, "{what}: turn(exp(phi)) is phi, {off}");
+    }
+    let back = r.inverse().turn();
+    let off = norm(&add(&back, &turn)).min(norm(&sub(&back, &turn)));
+    assert!(off < 1e-9, "{what}: the inverse turns back, {off}");
+    let half: Vec<f64> = turn[..n_turns].iter().map(|x| 0.5 * x).collect();
+    let half = Rotation::<D>::exp_of(&half);
+    assert!(distance(&half.compose(&half), &again) < 1e-14, "{what}: two halves");
+    // missing entries are zero
+    assert!(Rotation::<D>::exp_of(&[]) == Rotation::identity());
+}
+
+#[test]
+fn turns_are_the_logarithm_near_zero_between_and_near_half_a_turn() {
+    let pi = std::f64::consts::PI;
+    let mut noise = Noise::new(3);
+    let sizes =
+        [0.0, 1e-300, 1e-12, 1e-7, 9e-7, 1.1e-6, 1e-3, 1.0, 3.0, pi - 1e-3, pi - 1.1e-6, pi - 9e-7, pi - 1e-9, pi];
+    for size in sizes {
+        for k in 0..40 {
+            let axis: Vector<3> = match k {
+                0..3 => std::array::from_fn(|c| f64::from(u8::from(c == k))),
+                3..6 => std::array::from_fn(|c| -f64::from(u8::from(c + 3 == k))),
+                6 => normalized(&[1.0, 1.0, 0.0]),
+                7 => normalized(&[1.0, -1.0, 1e-9]),
+                _ => noise.direction(),
+            };
+            check_turns::<3>(&scale(size, &axis), &format!("{size} about {axis:?}"));
+        }
+        for sign in [-1.0, 1.0] {
+            check_turns::<2>(&[sign * size, 0.0, 0.0], &format!("{sign} {size} in the plane"));
+        }
+    }
+    // about one axis turns add up, past half a turn as well
+    for (a, b) in [(0.3, 0.4), (2.0, 2.0), (-3.0, -3.0), (3.0, 3.2)] {
+        let axis: Vector<3> = noise.direction();
+        let sum = Rotation::exp(&scale(a, &axis)).compose(&Rotation::exp(&scale(b, &axis))).turn();
+        let wrapped = (a + b + pi).rem_euclid(2.0 * pi) - pi;
+        assert!(norm(&sub(&sum, &scale(wrapped, &axis))) < 1e-13);
+        let sum = Rotation::<2>::exp_of(&[a]).compose(&Rotation::exp_of(&[b])).turn()[0];
+        assert!((sum - wrapped).abs() < 1e-14);
+    }
+}

@@ -254,3 +254,121 @@ fn what_is_not_finite_has_no_eigenvectors() {
     assert!(symmetric_eigen::<3>(&[[f64::NAN; 3]; 3]).is_err());
     assert!(nearest_rotation::<3>(&[[f64::NAN; 3]; 3]).is_none());
 }
+
+/// The inverse of a dense matrix by elimination with pivoting.
+fn dense_inverse(mut a: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let n = a.len();
+    let mut b: Vec<Vec<f64>> = (0..n).map(|r| (0..n).map(|c| f64::from(u8::from(r == c))).collect()).collect();
+    for k in 0..n {
+        let pivot = (k..n).max_by(|&x, &y| a[x][k].abs().total_cmp(&a[y][k].abs())).unwrap();
+        a.swap(k, pivot);
+        b.swap(k, pivot);
+        let p = a[k][k];
+        a[k].iter_mut().for_each(|x| *x /= p);
+        b[k].iter_mut().for_each(|x| *x /= p);
+        for r in (0..n).filter(|&r| r != k) {
+            let f = a[r][k];
+            for c in 0..n {
+                let (from_a, from_b) = (a[k][c], b[k][c]);
+                a[r][c] -= f * from_a;
+                b[r][c] -= f * from_b;
+            }
+        }
+    }
+    b
+}
+
+/// Every block of the pattern, both ways round, against the dense inverse; and the solution.
+fn check_selected<const D: usize>(system: &System, what: &str) {
+    let n = system.pattern.n_nodes();
+    let selected = SelectedInverse::<D>::new(&system.pattern, &system.values).unwrap();
+    let wanted = dense_inverse(system.dense.clone());
+    for a in 0..n {
+        for b in 0..n {
+            let (row, column) = (a.max(b), a.min(b));
+            let in_pattern = system.pattern.column(column).any(|k| system.pattern.row[k] as usize == row);
+            let Some(block) = selected.block(a, b) else {
+                assert!(!in_pattern, "{what}: block ({a}, {b}) is of the pattern");
+                continue;
+            };
+            for r in 0..D {
+                for c in 0..D {
+                    let off = (block[r][c] - wanted[a * D + r][b * D + c]).abs();
+                    let size = (wanted[a * D + r][a * D + r] * wanted[b * D + c][b * D + c]).sqrt();
+                    assert!(off < 1e-11 * size, "{what}: block ({a}, {b}) entry ({r}, {c}) is off by {off}");
+                }
+            }
+        }
+    }
+    let mut noise = Noise::new(8);
+    let truth: Vec<f64> = (0..2 * n * D).map(|_| noise.normal()).collect();
+    let mut x: Vec<f64> = truth.chunks(n * D).flat_map(|t| multiply(&system.dense, t)).collect();
+    selected.solve(&mut x, 2).unwrap();
+    assert!(difference(&x, &truth) < 1e-10, "{what}: solution");
+}
+
+/// A positive definite system on any pattern.
+fn system_of<const D: usize>(n: usize, coupled: impl Fn(usize, usize) -> bool, seed: u64) -> System {
+    let mut noise = Noise::new(seed);
+    let (mut col_start, mut row) = (vec![0u32], Vec::new());
+    let mut dense = vec![vec![0.0; n * D]; n * D];
+    for a in 0..n {
+        for b in (a..n).filter(|&b| a == b || coupled(a, b)) {
+            row.push(b as u32);
+            for (r, c) in (0..D * D).map(|k| (k / D, k % D)) {
+                let value = noise.normal();
+                dense[a * D + r][b * D + c] = value;
+                dense[b * D + c][a * D + r] = value;
+            }
+        }
+        col_start.push(row.len() as u32);
+    }
+    for k in 0..n * D {
+        dense[k][k] = 0.5 + dense[k].iter().map(|v| v.abs()).sum::<f64>();
+    }
+    let pattern = BlockPattern { col_start, row };
+    System { values: values_of::<D>(&pattern, &dense), pattern, dense }
+}
+
+fn check_selected_patterns<const D: usize>() {
+    for seed in 0..12 {
+        check_selected::<D>(&random_system::<D>(1 + 3 * seed as usize, seed), &format!("d = {D}, random {seed}"));
+    }
+    check_selected::<D>(&system_of::<D>(1, |_, _| false, 1), "one node");
+    check_selected::<D>(&system_of::<D>(20, |_, _| false, 2), "diagonal");
+    check_selected::<D>(&system_of::<D>(25, |_, _| true, 3), "dense");
+    check_selected::<D>(&system_of::<D>(40, |a, b| b == a + 1, 4), "chain");
+    check_selected::<D>(&system_of::<D>(40, |a, b| a == 0 || b == 39, 5), "arrows");
+    check_selected::<D>(&system_of::<D>(36, |a, b| b == a + 6 || b == a + 1 && b % 6 > 0, 6), "grid");
+    check_selected::<D>(&system_of::<D>(30, |a, b| b - a < 4 && a / 10 == b / 10, 7), "three parts");
+}
+
+#[test]
+fn the_selected_inverse_is_that_of_the_dense_matrix() {
+    check_selected_patterns::<1>();
+    check_selected_patterns::<3>();
+    check_selected_patterns::<6>();
+}
+
+#[test]
+fn the_selected_inverse_of_a_singular_matrix_is_an_error() {
+    let system = system_of::<3>(10, |a, b| b == a + 1, 1);
+    for values in [vec![0.0; system.values.len()], vec![f64::NAN; system.values.len()]] {
+        assert!(SelectedInverse::<3>::new(&system.pattern, &values).is_err());
+    }
+    let negative: Vec<f64> = system.values.iter().map(|v| -v).collect();
+    assert!(matches!(SelectedInverse::<3>::new(&system.pattern, &negative), Err(LeastSquaresError::Singular { .. })));
+}
+
+#[test]
+fn the_selected_inverse_has_the_same_bytes_on_any_number_of_threads() {
+    let system = system_of::<6>(120, |a, b| b - a < 40, 1);
+    let run = |threads: usize| -> Vec<u64> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let selected = SelectedInverse::<6>::new(&system.pattern, &system.values).unwrap();
+            (0..120).flat_map(|k| selected.block(k, k).unwrap().as_flattened().to_vec()).map(f64::to_bits).collect()
+        })
+    };
+    assert!(run(1) == run(4));
+}

@@ -236,8 +236,10 @@ def prior_columns(priors: Priors, d: int) -> dict[str, Any]:
         known = priors.positions
         columns["position_priors"] = (known.view, known.center, known.covariance)
     for name, values in columns.items():
-        if values[1].ndim == 2 and values[1].shape[1] != d:
-            raise InputError(f"{name} have {values[1].shape[1]} coordinates, but the bearings have {d}")
+        # headings are of the plane
+        found = 2 if values[1].ndim == 1 else values[1].shape[-1]
+        if found != d:
+            raise InputError(f"{name} have {found} coordinates, but the bearings have {d}")
     return columns
 
 

@@ -2,7 +2,7 @@
 
 use super::newton::{CameraStep, NewtonWeights, point_displacement};
 use super::noise::FitSize;
-use super::part::for_each_chunk;
+use super::part::{Lanes, for_each_chunk};
 use super::reduced::Factorised;
 use crate::least_squares::LeastSquaresError;
 
@@ -41,7 +41,7 @@ pub(crate) fn weakest_mode_is_loose<const D: usize, S: CameraStep>(
 ) -> Result<bool, LeastSquaresError> {
     let (part, keep) = (weights.residuals.part, weights.residuals.keep);
     let size = FitSize::of(part, |o| keep[o]);
-    if part.n_nodes < 2 || size.equations < size.unknowns {
+    if part.n_nodes < 2 && !gauge.basis.is_empty() || size.equations < size.unknowns {
         return Ok(true);
     }
     let Some(mode) = weakest_mode(system, gauge)? else { return Ok(false) };
@@ -61,7 +61,7 @@ struct Mode {
     guard: f64,
 }
 
-/// The weakest mode, by inverse iteration; `None` where the gauge is all there is.
+/// The weakest mode, by inverse iteration; `None` where nothing but the gauge is free.
 fn weakest_mode(system: &impl Factorised, gauge: &GaugeBasis) -> Result<Option<Mode>, LeastSquaresError> {
     let diagonal = system.diagonal();
     // any start with a share of every mode will do; this one is the same on every run
@@ -81,6 +81,9 @@ fn weakest_mode(system: &impl Factorised, gauge: &GaugeBasis) -> Result<Option<M
         let held: f64 = mode.iter().zip(diagonal).map(|(x, d)| GUARD * d * x * x).sum();
         gauge.remove(&mut mode);
         let squared = dot_product(&mode, &mode);
+        if squared == 0.0 {
+            return Ok(None);
+        }
         (stiffness, guard) = (energy / squared, held / squared);
     }
     let length = dot_product(&mode, &mode).sqrt();
@@ -104,6 +107,7 @@ fn stretch_of<const D: usize>(weights: &NewtonWeights<'_, D>, step: &impl Camera
     for_each_chunk(part, &mut per_track, |tracks, out| {
         for (j, sums) in tracks.zip(out).filter(|(j, _)| j % stride == 0) {
             let Some(follow) = point_displacement(weights, j, step) else { continue };
+            let follow = if part.holds_point(j) { Lanes::ZERO } else { follow };
             let (mut rates, mut turned) = (Vec::new(), 0.0);
             for o in part.observations(j).filter(|&o| keep[o]) {
                 let station = part.view[o] as usize;

@@ -119,9 +119,9 @@ impl<const V: usize> FullSystem<V> {
         let all = || self.diagonal.iter().chain(point_diagonal);
         let largest = all().flatten().copied().fold(f64::MIN_POSITIVE, f64::max);
         let diagonal: Vec<[f64; V]> = all().copied().collect();
-        for (scalar, d) in diagonal.iter().flatten().enumerate() {
-            self.held[scalar] |= *d <= 0.0;
-        }
+        // an unknown that nothing tells of is held as well, until something does
+        let held: Vec<bool> =
+            self.held.iter().zip(diagonal.iter().flatten()).map(|(held, d)| *held || *d <= 0.0).collect();
         for column in 0..self.pattern.n_nodes() {
             let relative = if column < self.n_cameras { damping.view } else { damping.point };
             for k in self.pattern.column(column) {
@@ -129,9 +129,9 @@ impl<const V: usize> FullSystem<V> {
                 for c in 0..V {
                     let slot = scalar_slots::<V>(&self.pattern, column, k, c);
                     let first = if row == column { c } else { 0 };
-                    let hold = self.held[column * V + c];
+                    let hold = held[column * V + c];
                     for r in first..V {
-                        if hold || self.held[row * V + r] {
+                        if hold || held[row * V + r] {
                             self.values[slot + r - first] = 0.0;
                         }
                     }
@@ -141,7 +141,7 @@ impl<const V: usize> FullSystem<V> {
                 }
             }
         }
-        for (right, _) in self.rhs.iter_mut().zip(&self.held).filter(|(_, held)| **held) {
+        for (right, _) in self.rhs.iter_mut().zip(&held).filter(|(_, held)| **held) {
             *right = 0.0;
         }
     }

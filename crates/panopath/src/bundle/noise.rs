@@ -42,12 +42,16 @@ pub(crate) struct FitSize {
 impl FitSize {
     pub fn of<const D: usize>(part: &Part<D>, among: impl Fn(usize) -> bool) -> Self {
         let (mut observations, mut points) = (0, 0);
+        let mut is_told = vec![false; part.n_nodes];
         for j in 0..part.n_tracks() {
-            let kept = part.observations(j).filter(|&o| among(o)).count();
+            let kept =
+                part.observations(j).filter(|&o| among(o)).inspect(|&o| is_told[part.node_of(o) as usize] = true);
+            let kept = kept.count();
             observations += kept;
-            points += usize::from(kept > 0);
+            points += usize::from(kept > 0 && !part.holds_point(j));
         }
-        let unknowns = D * points + part.camera_freedom;
+        let of_cameras: usize = part.node_freedom.iter().zip(&is_told).filter(|(_, told)| **told).map(|(n, _)| n).sum();
+        let unknowns = D * points + of_cameras.saturating_sub(part.gauge_freedom);
         Self { observations, equations: (D - 1) * observations, unknowns }
     }
 }
@@ -69,10 +73,10 @@ pub(crate) fn sigma_of_inliers<const D: usize>(part: &Part<D>, chords: &[f64], k
     (freedom > 0).then(|| (squared / freedom as f64).sqrt().max(SIGMA_FLOOR_RAD))
 }
 
-/// Observations within a limit of their prediction, of points that keep at least two views.
+/// Observations within a limit of their prediction, of points that keep at least two views or are held.
 pub(crate) fn inliers<const D: usize>(part: &Part<D>, chords: &[f64], limit: f64) -> Vec<bool> {
     let mut keep: Vec<bool> = chords.iter().map(|&e| e < limit).collect();
-    for j in 0..part.n_tracks() {
+    for j in (0..part.n_tracks()).filter(|&j| !part.holds_point(j)) {
         let mut views = part.observations(j).filter(|&o| keep[o]).map(|o| part.node_of(o));
         let first = views.next();
         if !views.any(|view| Some(view) != first) {

@@ -74,12 +74,16 @@ pub(crate) struct Layout {
     /// Node of each station, ascending.
     pub node: Vec<u32>,
     pub n_nodes: usize,
-    /// Unknowns of all cameras, less those of the gauge.
-    pub camera_freedom: usize,
+    /// Unknowns of each node.
+    pub node_freedom: Vec<usize>,
+    /// Freedoms of the gauge.
+    pub gauge_freedom: usize,
     /// True where a node saw a point more than once.
     pub has_repeats: bool,
     /// Runs of tracks that are summed apart and then added in this order.
     pub chunks: Vec<Range<usize>>,
+    /// Tracks whose point is known and stays; empty for none.
+    pub held_points: Vec<bool>,
     /// Which track of the input each track is.
     pub input_track: Vec<u32>,
     /// Which observation of the input each observation is.
@@ -98,6 +102,17 @@ impl Layout {
     #[inline(always)]
     pub fn observations(&self, j: usize) -> Range<usize> {
         self.start[j] as usize..self.start[j + 1] as usize
+    }
+
+    /// Unknowns of all cameras, less those of the gauge.
+    pub fn camera_freedom(&self) -> usize {
+        self.node_freedom.iter().sum::<usize>().saturating_sub(self.gauge_freedom)
+    }
+
+    /// Is the point of a track known, and no unknown?
+    #[inline(always)]
+    pub fn holds_point(&self, j: usize) -> bool {
+        self.held_points.get(j).copied().unwrap_or(false)
     }
 
     /// Node that made an observation.
@@ -128,13 +143,16 @@ impl<const D: usize> Deref for Part<D> {
 pub(crate) struct Stations {
     /// Node of each station, ascending.
     pub node: Vec<u32>,
-    pub camera_freedom: usize,
+    /// Unknowns of each node.
+    pub node_freedom: Vec<usize>,
+    /// How many of all these the gauge takes.
+    pub gauge_freedom: usize,
 }
 
 impl Stations {
     /// Each station is a node of its own with an unknown position of `D` coordinates.
     pub fn positions<const D: usize>(n: usize) -> Self {
-        Self { node: (0..n as u32).collect(), camera_freedom: (D * n).saturating_sub(D + 1) }
+        Self { node: (0..n as u32).collect(), node_freedom: vec![D; n], gauge_freedom: D + 1 }
     }
 }
 
@@ -142,6 +160,15 @@ impl<const D: usize> Part<D> {
     /// The same observations with other rays.
     pub fn with_rays<const E: usize>(&self, ray: Vec<Lanes>) -> Part<E> {
         Part { layout: Arc::clone(&self.layout), ray }
+    }
+
+    /// The same with points that stay: all that `stays` holds for, by track of the input.
+    pub fn holding(mut self, stays: impl Fn(u32) -> bool) -> Self {
+        let held: Vec<bool> = self.input_track.iter().map(|&t| stays(t)).collect();
+        if let Some(layout) = Arc::get_mut(&mut self.layout).filter(|_| held.contains(&true)) {
+            layout.held_points = held;
+        }
+        self
     }
 
     /// Lays out these observations of the input, with their local views and rays.
@@ -190,7 +217,7 @@ impl<const D: usize> Part<D> {
         let view = input_observation.iter().map(|&o| local_view(o as usize)).collect();
         let ray = input_observation.iter().map(|&o| ray(o as usize)).collect();
         let chunks = split_evenly(&start);
-        let Stations { node, camera_freedom } = stations;
+        let Stations { node, node_freedom, gauge_freedom } = stations;
         let n_nodes = node.last().map_or(0, |&last| last as usize + 1);
         let layout = Layout {
             n_views,
@@ -198,8 +225,10 @@ impl<const D: usize> Part<D> {
             view,
             node,
             n_nodes,
-            camera_freedom,
+            node_freedom,
+            gauge_freedom,
             has_repeats,
+            held_points: Vec::new(),
             chunks,
             input_track,
             input_observation,

@@ -37,7 +37,7 @@ pub(crate) fn without_parallax<const D: usize>(part: &Part<D>, keep: &[bool], si
             let (_, scatter, count) = mean_direction(part, j, |o| keep[o]);
             let freedom = (D - 1) as f64 * (count - 1.0);
             let limit = freedom + PARALLAX_SQUARED;
-            *parallel = count >= 2.0 && scatter < limit * sigma * sigma;
+            *parallel = !part.holds_point(j) && count >= 2.0 && scatter < limit * sigma * sigma;
         }
     });
     let mut others = vec![0u32; part.n_views];
@@ -86,7 +86,7 @@ pub(crate) fn reconsider<const D: usize>(
     let mut refit = vec![false; part.n_tracks()];
     let mut judged: Vec<(Lanes, bool)> = points.iter().map(|p| (*p, false)).collect();
     for_each_chunk(part, &mut judged, |tracks, out| {
-        for (j, (point, refit)) in tracks.zip(out) {
+        for (j, (point, refit)) in tracks.zip(out).filter(|(j, _)| !part.holds_point(*j)) {
             let agreeing = agree(part, j, centers, point, limit);
             let count = part.observations(j).len();
             let lost = count > 2 && agreeing < count && (agreeing < 3 || 2 * agreeing < count);
@@ -179,7 +179,7 @@ pub(crate) const FAR: f64 = 300.0;
 pub(crate) fn repair_cheirality<const D: usize>(part: &Part<D>, estimate: &mut Estimate) {
     let Estimate { centers, points } = estimate;
     for_each_chunk(part, points, |tracks, out| {
-        for (j, point) in tracks.zip(out) {
+        for (j, point) in tracks.zip(out).filter(|(j, _)| !part.holds_point(*j)) {
             let observations = part.observations(j);
             let count = observations.len() as f64;
             let (mut middle, mut ray) = (Lanes::ZERO, Lanes::ZERO);

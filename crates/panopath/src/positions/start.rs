@@ -173,7 +173,7 @@ fn noise_of<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
         .flat_map(|j| part.observations(j).map(move |o| (o, j)))
         .map(|(o, j)| squared_error(part, o, &estimate.centers, &estimate.points[j]).sqrt())
         .collect();
-    let unknowns = D * part.n_tracks() + part.camera_freedom;
+    let unknowns = D * part.n_tracks() + part.camera_freedom();
     sigma_from_chords::<D>(&mut chords, part.n_observations(), unknowns)
 }
 

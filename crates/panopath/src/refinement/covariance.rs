@@ -13,10 +13,13 @@ use super::descent::State;
 use super::gauge::{Gauge, inner, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
-use super::{Piece, check, components_of_tracks};
+use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
 use crate::bundle::newton::{NewtonWeights, Residuals};
+use crate::bundle::noise::FitSize;
 use crate::bundle::part::{Lanes, Part};
-use crate::bundle::reduced::{Damping, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node};
+use crate::bundle::reduced::{
+    Damping, Factorised, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node,
+};
 use crate::geometry::Matrix;
 use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse};
 use crate::structure::Structure;
@@ -69,9 +72,8 @@ pub fn covariance<const D: usize, const V: usize>(
         cameras: vec![[[f64::NAN; V]; V]; tracks.n_views()],
         points: vec![[[f64::NAN; D]; D]; tracks.n_tracks()],
     };
-    let n_components = scene.view_component.iter().fold(0, |n, &c| n.max(c + 1));
-    for component in 0..n_components {
-        let Some(piece) = Piece::lay_out(tracks, scene, &component_of_track, component, options)? else { continue };
+    for component in components_of_views(scene) {
+        let Some((piece, keep)) = told_piece(tracks, scene, &component_of_track, component, options)? else { continue };
         let reference = match gauge {
             CovarianceGauge::Cameras => None,
             CovarianceGauge::View(view) => match piece.views.binary_search(&view) {
@@ -80,13 +82,41 @@ pub fn covariance<const D: usize, const V: usize>(
                 Err(_) => continue,
             },
         };
-        let keep: Vec<bool> = (piece.part.input_observation.iter())
-            .map(|&o| scene.inlier.is_empty() || scene.inlier[o as usize])
-            .collect();
         let information = Information::<D, V>::assemble(&piece, keep, sigma_rad)?;
         information.write(&piece, reference, sigma_rad, &mut answer)?;
     }
     Ok(answer)
+}
+
+/// A component without the views that too few observations tell of, and the observations that count.
+fn told_piece<const D: usize>(
+    tracks: &Tracks<D>,
+    scene: &Structure<D>,
+    component_of_track: &[i32],
+    component: i32,
+    options: &RefineOptions<D>,
+) -> Result<Option<(Piece<D>, Vec<bool>)>, RefineError> {
+    let mut told = scene.clone();
+    loop {
+        let Some(piece) = Piece::lay_out(tracks, &told, component_of_track, component, options)? else {
+            return Ok(None);
+        };
+        let part = &piece.part;
+        let counts = |o: usize| scene.inlier.is_empty() || scene.inlier[part.input_observation[o] as usize];
+        let mut keep: Vec<bool> = (0..part.n_observations()).map(counts).collect();
+        for j in (0..part.n_tracks()).filter(|&j| !piece.points[j].0.iter().all(|x| x.is_finite())) {
+            keep[part.observations(j)].fill(false);
+        }
+        let keep = without_starved(part, &keep, &piece.wanted);
+        let mut is_told = vec![false; piece.views.len()];
+        (0..part.n_observations()).filter(|&o| keep[o]).for_each(|o| is_told[part.node_of(o) as usize] = true);
+        if !is_told.contains(&false) {
+            return Ok(Some((piece, keep)));
+        }
+        for (&view, _) in piece.views.iter().zip(&is_told).filter(|(_, told)| !**told) {
+            told.view_component[view as usize] = -1;
+        }
+    }
 }
 
 /// The information of one component and what its inversion needs.
@@ -99,22 +129,25 @@ struct Information<const D: usize, const V: usize> {
 }
 
 impl<const D: usize, const V: usize> Information<D, V> {
-    fn assemble(piece: &Piece<D>, mut keep: Vec<bool>, sigma: f64) -> Result<Self, LeastSquaresError> {
+    fn assemble(piece: &Piece<D>, keep: Vec<bool>, sigma: f64) -> Result<Self, LeastSquaresError> {
         let state = State::new(&piece.sights, &piece.part, piece.poses.clone(), piece.points.clone());
         let part = &state.part;
-        for j in 0..part.n_tracks() {
-            if !state.estimate.points[j].0.iter().all(|x| x.is_finite()) {
-                keep[part.observations(j)].fill(false);
-            }
+        let size = FitSize::of(part, |o| keep[o]);
+        let known: usize = piece.priors.rows(piece.views.len()).iter().sum();
+        if size.equations + known < size.unknowns {
+            return Err(LeastSquaresError::Singular { pivot: 0 });
         }
         let held = with_scale_held(piece, &state);
         let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);
-        let turns = turns_of(piece, &state);
+        let turns = turns_of(&state);
         let terms = piece.priors.terms(&state.poses, sigma);
         system.assemble(part, &weights, &turns, &terms, Damping { point: 0.0, view: 0.0 });
         let pattern = system.pattern().clone();
         let inverse = SelectedInverse::new(&pattern, system.values())?;
+        if let Some(pivot) = undetermined(&inverse, &pattern, system.diagonal(), &held) {
+            return Err(LeastSquaresError::Singular { pivot });
+        }
         Ok(Self { keep, pattern, inverse, held, state })
     }
 
@@ -133,7 +166,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
             let to_answer = self.in_camera(node, to_world);
             answer.cameras[view as usize] = congruent(&to_answer, block).map(|row| row.map(|x| x * sigma * sigma));
         }
-        let points = self.points(piece, &blocks);
+        let points = self.points(&blocks);
         for (&track, point) in piece.part.input_track.iter().zip(points) {
             answer.points[track as usize] = point.map(|row| row.map(|x| x * (sigma * to_world).powi(2)));
         }
@@ -176,13 +209,13 @@ impl<const D: usize, const V: usize> Information<D, V> {
     }
 
     /// Covariance of each point of the part, in its own unit and that of sigma.
-    fn points(&self, piece: &Piece<D>, blocks: &[[[f64; V]; V]]) -> Vec<Matrix<D>> {
+    fn points(&self, blocks: &[[[f64; V]; V]]) -> Vec<Matrix<D>> {
         let State { part, .. } = &self.state;
         let weights = weights(part, &self.state, &self.keep);
-        let turns = turns_of(piece, &self.state);
+        let turns = turns_of(&self.state);
         let tracks: Vec<usize> = (0..part.n_tracks()).collect();
         let covariance = |&j: &usize| {
-            if piece.held_points.get(j) == Some(&true) {
+            if part.holds_point(j) {
                 return [[0.0; D]; D];
             }
             let mut sum = PointSum::<D>::new();
@@ -240,14 +273,30 @@ impl<const D: usize, const V: usize> Information<D, V> {
     }
 }
 
+/// An unknown whose variance is beyond what rounding lets a singular system have; `diagonal` is what it would cost alone.
+fn undetermined<const V: usize>(
+    inverse: &SelectedInverse<V>,
+    pattern: &BlockPattern,
+    diagonal: &[f64],
+    held: &[bool],
+) -> Option<usize> {
+    const LOST: f64 = 1e13;
+    let is_lost = |&k: &usize| {
+        let block = inverse.block(k / V, k / V).unwrap_or([[f64::NAN; V]; V]);
+        let share = block[k % V][k % V] * diagonal[k];
+        !held[k] && (share.is_nan() || share > LOST)
+    };
+    (0..pattern.n_nodes() * V).find(is_lost)
+}
+
 fn weights<'a, const D: usize>(part: &'a Part<D>, state: &'a State<D>, keep: &'a [bool]) -> NewtonWeights<'a, D> {
     let residuals = Residuals { part, keep, huber: f64::INFINITY };
     NewtonWeights { residuals, estimate: &state.estimate }
 }
 
-fn turns_of<'a, const D: usize>(piece: &'a Piece<D>, state: &'a State<D>) -> Turns<'a, D> {
+fn turns_of<const D: usize>(state: &State<D>) -> Turns<'_, D> {
     let State { poses, part, estimate } = state;
-    Turns { part, centers: &poses.centers, points: &estimate.points, held: &piece.held_points }
+    Turns { part, centers: &poses.centers, points: &estimate.points }
 }
 
 /// The unknowns that the piece holds, and one coordinate of the centre farthest from the pinned one where the scale is free.

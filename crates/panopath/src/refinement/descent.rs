@@ -82,8 +82,10 @@ impl<const D: usize, const V: usize> Factorised for PoseSystem<D, V> {
 pub(super) struct Given<'a, const D: usize> {
     pub sights: &'a Sights<D>,
     pub priors: &'a PartPriors<D>,
-    /// Points that stay, by track of the part; empty for none.
-    pub held_points: &'a [bool],
+    /// Rows of observations that each node needs, so that its unknowns are determined.
+    pub wanted: &'a [usize],
+    /// Are observations judged anew between rounds?
+    pub judges: bool,
     pub huber_sigmas: f64,
 }
 
@@ -119,7 +121,11 @@ pub(super) fn descend<const D: usize, const V: usize>(
     let cost = sum_in_chunks(&state.part, &costs) + given.priors.cost(&state.poses, sigma);
     let kept = keep.iter().filter(|&&k| k).count();
     let mut problem = Bundle { given, system, state, keep, huber, sigma, cost, costs };
-    minimise(&mut problem, kept, sigma, effort)
+    match minimise(&mut problem, kept, sigma, effort) {
+        // no damping makes the system regular: what is free is said by the status
+        Err(LeastSquaresError::Singular { .. }) => Ok(Descent { iterations: 0, converged: false }),
+        ended => ended,
+    }
 }
 
 struct Bundle<'a, const D: usize, const V: usize> {
@@ -143,10 +149,10 @@ impl<const D: usize, const V: usize> Problem for Bundle<'_, D, V> {
 
     fn propose(&mut self, damping: f64) -> Result<(Self::Candidate, f64), LeastSquaresError> {
         let State { poses, part, estimate } = &*self.state;
-        let Given { sights, priors, held_points, .. } = *self.given;
+        let Given { sights, priors, .. } = *self.given;
         let residuals = Residuals { part, keep: self.keep, huber: self.huber };
         let weights = NewtonWeights { residuals, estimate };
-        let turns = Turns { part, centers: &poses.centers, points: &estimate.points, held: held_points };
+        let turns = Turns { part, centers: &poses.centers, points: &estimate.points };
         let terms = priors.terms(poses, self.sigma);
         self.system.assemble(part, &weights, &turns, &terms, Damping { point: damping, view: damping });
         let step = self.system.solve()?;
@@ -155,7 +161,7 @@ impl<const D: usize, const V: usize> Problem for Bundle<'_, D, V> {
         let stations = &next.estimate.centers;
         let (mut points, mut costs) = follow_cameras(&weights, &self.costs, &follow, &next.part, stations, damping);
         let after = Residuals { part: &next.part, ..residuals };
-        for (j, _) in held_points.iter().enumerate().filter(|(_, held)| **held) {
+        for (j, _) in part.held_points.iter().enumerate().filter(|(_, held)| **held) {
             points[j] = estimate.points[j];
             costs[j] = after.cost(j, stations, &points[j]);
         }

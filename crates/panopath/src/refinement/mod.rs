@@ -12,10 +12,12 @@ use std::time::Instant;
 use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, weakest_mode_is_loose};
 use crate::bundle::levenberg::Effort;
 use crate::bundle::newton::{NewtonWeights, Residuals};
-use crate::bundle::noise::{FIRST_OUTLIER_SIGMAS, chords, inliers, median, noise_scale, sigma_of_inliers};
+use crate::bundle::noise::{
+    FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, inliers, median, noise_scale, sigma_of_inliers,
+};
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
-use crate::bundle::reduced::{Damping, most_observed_node};
+use crate::bundle::reduced::{Damping, Factorised, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
 use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
@@ -24,6 +26,8 @@ use crate::tracks::Tracks;
 mod align;
 mod covariance;
 mod descent;
+#[cfg(test)]
+mod differences;
 mod gauge;
 mod options;
 mod poses;
@@ -67,14 +71,16 @@ pub fn refine<const D: usize, const V: usize>(
     check(tracks, start, options)?;
     let mut answer = nothing_refined(tracks, start);
     let component_of_track = components_of_tracks(tracks, start);
-    let n_components = start.view_component.iter().fold(0, |n, &c| n.max(c + 1));
     let mut largest: Option<(Status, f64)> = None;
-    for component in 0..n_components {
+    for component in components_of_views(start) {
         let Some(piece) = Piece::lay_out(tracks, start, &component_of_track, component, options)? else { continue };
         let refined = piece.refine::<V>(options, &mut answer.summary.timings)?;
-        piece.write(&refined, answer.summary.n_components as i32, &mut answer);
-        answer.summary.n_components += 1;
         answer.summary.iterations += refined.iterations;
+        if !piece.write(&refined, answer.summary.n_components as i32, &mut answer) {
+            continue;
+        }
+        piece.restore_held(start, &options.held, &mut answer);
+        answer.summary.n_components += 1;
         largest.get_or_insert((refined.status(), refined.sigma));
     }
     (answer.summary.status, answer.summary.sigma_rad) = match largest {
@@ -148,6 +154,11 @@ fn is_finite<const D: usize>(x: &Vector<D>) -> bool {
     x.iter().all(|v| v.is_finite())
 }
 
+/// Numbers of the components, ascending.
+fn components_of_views<const D: usize>(start: &Structure<D>) -> std::collections::BTreeSet<i32> {
+    start.view_component.iter().copied().filter(|&c| c >= 0).collect()
+}
+
 /// Component of each track: its own, or that of most of the views that see it.
 fn components_of_tracks<const D: usize>(tracks: &Tracks<D>, start: &Structure<D>) -> Vec<i32> {
     let mut component = start.track_component.clone();
@@ -184,8 +195,8 @@ struct Piece<const D: usize> {
     poses: Poses<D>,
     points: Vec<Lanes>,
     priors: PartPriors<D>,
-    /// Points that stay; empty for none.
-    held_points: Vec<bool>,
+    /// Rows of observations that each view needs, so that its unknowns are determined.
+    wanted: Vec<usize>,
     /// Unknowns that stay zero: those of views that are held, and a gauge.
     held: Vec<bool>,
     /// From the frame of the answer to that of the piece; no rotation.
@@ -238,10 +249,12 @@ impl<const D: usize> Piece<D> {
             .any(|(t, held)| *held && component_of_track[t] == component && known(t));
         let has_levers = stations.lever.iter().any(|a| a.iter().any(|x| *x != 0.0));
         let gauge = Gauge::of(&views, &poses.centers, &options.held, &priors, holds_points, has_levers);
-        let freedom = (views.len() * (turns(D) + D)).saturating_sub(gauge.dim());
+        let free = free_unknowns::<D>(&views, &options.held);
+        let known_rows = priors.rows(views.len());
+        let wanted = free.iter().zip(&known_rows).map(|(free, known)| free.saturating_sub(*known)).collect();
         let precision = precisions(tracks);
         let part = Part::new(
-            Stations { node: stations.node.clone(), camera_freedom: freedom },
+            Stations { node: stations.node.clone(), node_freedom: free, gauge_freedom: gauge.dim() },
             tracks.n_tracks(),
             &observations,
             tracks.track(),
@@ -251,12 +264,9 @@ impl<const D: usize> Piece<D> {
                 bearing.0[3] = precision.as_ref().map_or(1.0, |p| p[o]);
                 bearing
             },
-        );
+        )
+        .holding(|t| options.held.points.get(t as usize) == Some(&true) && known(t as usize));
         let points = part.input_track.iter().map(|&t| place(&start.points[t as usize])).collect();
-        let stays =
-            |&t: &u32| options.held.points.get(t as usize) == Some(&true) && is_finite(&start.points[t as usize]);
-        let held_points: Vec<bool> = part.input_track.iter().map(stays).collect();
-        let held_points = if held_points.contains(&true) { held_points } else { Vec::new() };
         let lever = stations.lever.iter().map(|a| crate::geometry::scale(piece_from_world.scale, a)).collect();
         let sights = Sights { bearing: part.ray.clone(), lever };
         let huber_sigmas = options.huber_sigmas;
@@ -268,7 +278,7 @@ impl<const D: usize> Piece<D> {
             poses,
             points,
             priors,
-            held_points,
+            wanted,
             held,
             piece_from_world,
             gauge,
@@ -293,18 +303,12 @@ impl<const D: usize> Piece<D> {
         let given = Given {
             sights: &self.sights,
             priors: &self.priors,
-            held_points: &self.held_points,
+            wanted: &self.wanted,
+            judges: options.reject_outliers,
             huber_sigmas: self.huber_sigmas,
         };
-        let refined = if options.reject_outliers {
-            settle(&given, &mut system, state, options.max_iterations)
-        } else {
-            let keep = vec![true; self.part.n_observations()];
-            let sigma = noise_scale(&state.part, &chords(&state.part, &state.estimate), |_| true);
-            finish(&given, &mut system, state, keep, sigma, options.max_iterations)
-        };
+        let mut refined = settle(&given, &mut system, state, options.max_iterations)?;
         timings.descent_s += clock.elapsed().as_secs_f64();
-        let mut refined = refined?;
         refined.loose |= self.is_loose(&mut system, &refined)?;
         if self.gauge.is_free() {
             self.align_to_start(&mut refined.state);
@@ -324,14 +328,19 @@ impl<const D: usize> Piece<D> {
         let State { poses, part, estimate } = &refined.state;
         let residuals = Residuals { part, keep: &refined.active, huber: self.huber_sigmas * refined.sigma };
         let weights = NewtonWeights { residuals, estimate };
-        let turns = Turns { part, centers: &poses.centers, points: &estimate.points, held: &self.held_points };
+        let turns = Turns { part, centers: &poses.centers, points: &estimate.points };
         let terms = self.priors.terms(poses, refined.sigma);
         system.assemble(part, &weights, &turns, &terms, Damping { point: GUARD, view: GUARD });
         match system.factorise() {
             Err(LeastSquaresError::Singular { .. }) => return Ok(true),
             other => other?,
         }
-        let gauge = GaugeBasis::new(self.gauge.basis::<V>(&poses.centers));
+        let mut basis = self.gauge.basis::<V>(&poses.centers);
+        for freedom in &mut basis {
+            // views that nothing tells of do not move
+            freedom.iter_mut().zip(system.diagonal()).filter(|(_, d)| **d <= 0.0).for_each(|(x, _)| *x = 0.0);
+        }
+        let gauge = GaugeBasis::new(basis);
         let step_of =
             |x: &[f64]| PoseStep::<D, V> { layout: part, centers: &poses.centers, step: x.as_chunks::<V>().0.to_vec() };
         weakest_mode_is_loose(system, &weights, &gauge, step_of, refined.sigma)
@@ -369,38 +378,54 @@ impl<const D: usize> Piece<D> {
     }
 
     /// Writes down what is determined: points that two views or more still see, views that see as many of these as
-    /// they have unknowns.
-    fn write(&self, refined: &Refined<D>, component: i32, answer: &mut Structure<D>) {
+    /// their unknowns need. False where that is no view at all.
+    fn write(&self, refined: &Refined<D>, component: i32, answer: &mut Structure<D>) -> bool {
         let world_from_piece = |x: &Lanes| {
             let Similarity { scale, translation, .. } = self.piece_from_world;
             crate::geometry::scale(1.0 / scale, &crate::geometry::sub(&x.vector::<D>(), &translation))
         };
         let (state, part) = (&refined.state, &refined.state.part);
-        let mut seen = vec![0usize; self.views.len()];
-        for o in (0..part.n_observations()).filter(|&o| refined.inlier[o]) {
-            seen[part.node_of(o) as usize] += 1;
+        let told = without_starved(part, &refined.inlier, &self.wanted);
+        let mut is_known = vec![false; self.views.len()];
+        for o in (0..part.n_observations()).filter(|&o| told[o]) {
+            is_known[part.node_of(o) as usize] = true;
         }
-        let unknowns = turns(D) + D;
-        let is_known = |node: usize| seen[node] * (D - 1) >= unknowns || !self.gauge.is_free() && seen[node] > 0;
-        for (node, &view) in self.views.iter().enumerate().filter(|(node, _)| is_known(*node)) {
+        for (node, &view) in self.views.iter().enumerate().filter(|(node, _)| is_known[*node]) {
             let view = view as usize;
             answer.centers[view] = world_from_piece(&state.poses.centers[node]);
             answer.cam_from_world[view] = state.poses.cam_from_world[node];
             answer.view_component[view] = component;
         }
         for (j, &track) in part.input_track.iter().enumerate() {
-            let kept =
-                part.observations(j).filter(|&o| refined.inlier[o] && is_known(part.node_of(o) as usize)).count();
-            if kept < 2 && self.held_points.get(j) != Some(&true) {
+            if !part.holds_point(j) && !part.observations(j).any(|o| told[o]) {
                 continue;
             }
             answer.points[track as usize] = world_from_piece(&state.estimate.points[j]);
             answer.track_component[track as usize] = component;
-            for o in part.observations(j).filter(|&o| is_known(part.node_of(o) as usize)) {
+            for o in part.observations(j).filter(|&o| is_known[part.node_of(o) as usize]) {
                 let input = part.input_observation[o] as usize;
-                answer.inlier[input] = refined.inlier[o];
+                answer.inlier[input] = told[o];
                 let chord = refined.chord[o] / state.part.ray[o].0[3].sqrt();
                 answer.residual_rad[input] = 2.0 * (0.5 * chord).min(1.0).asin();
+            }
+        }
+        is_known.contains(&true)
+    }
+
+    /// What is held is that of the start to the last bit: the frame of the piece and back would round it.
+    fn restore_held(&self, start: &Structure<D>, held: &Held, answer: &mut Structure<D>) {
+        let is_held = |list: &[bool], k: usize| list.get(k) == Some(&true);
+        for view in self.views.iter().map(|&v| v as usize).filter(|&v| answer.view_component[v] >= 0) {
+            if is_held(&held.rotations, view) {
+                answer.cam_from_world[view] = start.cam_from_world[view];
+            }
+            if is_held(&held.centers, view) {
+                answer.centers[view] = start.centers[view];
+            }
+        }
+        for (j, &track) in self.part.input_track.iter().enumerate() {
+            if self.part.holds_point(j) && answer.track_component[track as usize] >= 0 {
+                answer.points[track as usize] = start.points[track as usize];
             }
         }
     }
@@ -457,16 +482,20 @@ fn settle<const D: usize, const V: usize>(
     repair_cheirality(&state.part, &mut state.estimate);
     let errors = chords(&state.part, &state.estimate);
     let mut sigma = noise_scale(&state.part, &errors, |_| true);
-    let mut inlier = inliers(&state.part, &errors, FIRST_OUTLIER_SIGMAS * sigma);
+    let first_limit = if given.judges { FIRST_OUTLIER_SIGMAS * sigma } else { f64::INFINITY };
+    let mut inlier = inliers(&state.part, &errors, first_limit);
     let mut iterations = 0;
     for _ in 0..MAX_ROUNDS {
         let parallel = without_parallax(&state.part, &inlier, sigma);
         let active = without_tracks(&state.part, &inlier, &parallel.left_out);
+        let active = without_starved(&state.part, &active, given.wanted);
         let effort = Effort::rough(max_iterations.min(ROUND_ITERATIONS), state.part.n_observations());
         iterations += descend(given, system, &mut state, &active, sigma, effort)?.iterations;
         let before = sigma;
         sigma = noise_scale(&state.part, &chords(&state.part, &state.estimate), |o| active[o]);
-        inlier = reconsider(&state.part, &mut state.estimate, &parallel.left_out, sigma);
+        if given.judges {
+            inlier = reconsider(&state.part, &mut state.estimate, &parallel.left_out, sigma);
+        }
         if sigma > (1.0 - NOISE_FALLS) * before {
             break;
         }
@@ -486,9 +515,10 @@ fn finish<const D: usize, const V: usize>(
 ) -> Result<Refined<D>, LeastSquaresError> {
     let parallel = without_parallax(&state.part, &keep, sigma);
     let active = without_tracks(&state.part, &keep, &parallel.left_out);
+    let active = without_starved(&state.part, &active, given.wanted);
     let descent = descend(given, system, &mut state, &active, sigma, Effort::full(max_iterations))?;
     let sigma = noise_scale(&state.part, &chords(&state.part, &state.estimate), |o| active[o]);
-    let inlier = reconsider(&state.part, &mut state.estimate, &parallel.left_out, sigma);
+    let inlier = look_again(given, &mut state, &parallel.left_out, sigma);
     let chord = chords(&state.part, &state.estimate);
     let kept: Vec<bool> = active.iter().zip(&inlier).map(|(a, i)| *a && *i).collect();
     let sigma = sigma_of_inliers(&state.part, &chord, &kept).unwrap_or(sigma);
@@ -502,6 +532,43 @@ fn finish<const D: usize, const V: usize>(
         active,
         state,
     })
+}
+
+/// Judges all observations. Where the caller wants them all to count, points stay at the minimum of all but for those
+/// that the descent left out.
+fn look_again<const D: usize>(given: &Given<'_, D>, state: &mut State<D>, left_out: &[bool], sigma: f64) -> Vec<bool> {
+    let before = state.estimate.points.clone();
+    let inlier = reconsider(&state.part, &mut state.estimate, left_out, sigma);
+    if given.judges {
+        return inlier;
+    }
+    for (j, point) in before.into_iter().enumerate().filter(|(j, _)| !left_out[*j]) {
+        state.estimate.points[j] = point;
+    }
+    inliers(&state.part, &chords(&state.part, &state.estimate), OUTLIER_SIGMAS * sigma)
+}
+
+/// The kept observations less those of views that have too few to be determined, and of points that lose their second view
+/// with these.
+fn without_starved<const D: usize>(part: &Part<D>, keep: &[bool], wanted: &[usize]) -> Vec<bool> {
+    let mut kept = keep.to_vec();
+    loop {
+        for j in (0..part.n_tracks()).filter(|&j| !part.holds_point(j)) {
+            let mut nodes = part.observations(j).filter(|&o| kept[o]).map(|o| part.node_of(o));
+            let first = nodes.next();
+            if !nodes.any(|node| Some(node) != first) {
+                kept[part.observations(j)].fill(false);
+            }
+        }
+        let mut rows = vec![0; part.n_nodes];
+        (0..part.n_observations()).filter(|&o| kept[o]).for_each(|o| rows[part.node_of(o) as usize] += D - 1);
+        let is_starved = |o: usize| rows[part.node_of(o) as usize] < wanted[part.node_of(o) as usize];
+        let starved: Vec<usize> = (0..part.n_observations()).filter(|&o| kept[o] && is_starved(o)).collect();
+        if starved.is_empty() {
+            return kept;
+        }
+        starved.into_iter().for_each(|o| kept[o] = false);
+    }
 }
 
 /// Stations of a component: pairs of a node and a sensor that made an observation, with their lever arms.
@@ -556,8 +623,20 @@ fn unit_frame<const D: usize>(centers: &[Vector<D>]) -> Similarity<D> {
     let mean: Vector<D> = std::array::from_fn(|c| centers.iter().map(|x| x[c]).sum::<f64>() / n);
     let squared: f64 =
         centers.iter().map(|x| crate::geometry::sub(x, &mean)).map(|d| crate::geometry::dot(&d, &d)).sum();
-    let scale = if squared > 0.0 { (n / squared).sqrt() } else { 1.0 };
+    // centres that differ in their last digits only stand in one place
+    let rounding = (1e-14 * crate::geometry::norm(&mean)).powi(2) * n;
+    let scale = if squared > rounding { (n / squared).sqrt() } else { 1.0 };
     Similarity { scale, rotation: Rotation::identity(), translation: mean.map(|x| -scale * x) }
+}
+
+/// Unknowns of each view that the caller does not hold.
+fn free_unknowns<const D: usize>(views: &[u32], held: &Held) -> Vec<usize> {
+    let is_held = |list: &[bool], view: u32| list.get(view as usize) == Some(&true);
+    let free = |&v: &u32| {
+        let (turn, place) = (is_held(&held.rotations, v), is_held(&held.centers, v));
+        usize::from(!turn) * turns(D) + usize::from(!place) * D
+    };
+    views.iter().map(free).collect()
 }
 
 /// Does the caller hold anything of these views, or any point?

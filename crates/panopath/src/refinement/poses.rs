@@ -105,8 +105,6 @@ pub(super) struct Turns<'a, const D: usize> {
     pub part: &'a Part<D>,
     pub centers: &'a [Lanes],
     pub points: &'a [Lanes],
-    /// Tracks whose point stays; empty for none.
-    pub held: &'a [bool],
 }
 
 impl<const D: usize> Turns<'_, D> {
@@ -149,7 +147,7 @@ impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
 
     #[inline(always)]
     fn holds_point(&self, j: usize) -> bool {
-        self.held.get(j).copied().unwrap_or(false)
+        self.part.holds_point(j)
     }
 }
 
@@ -173,6 +171,100 @@ impl<const D: usize, const V: usize> CameraStep for PoseStep<'_, D, V> {
             let (x, y, z) = (step[0], step[1], step[2]);
             let shift = shift_of::<D, V>(step);
             shift.plus(&Lanes([dy * z - dz * y, dz * x - dx * z, dx * y - dy * x, 0.0]))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::differences::{by_place, by_unknowns};
+    use super::*;
+    use crate::bundle::part::Stations;
+    use crate::geometry::normalized;
+
+    /// One observation of one point from a station off the centre.
+    struct Sight<const D: usize> {
+        part: Part<D>,
+        sights: Sights<D>,
+        poses: Poses<D>,
+        point: Lanes,
+    }
+
+    /// With the point where it was seen: residuals are zero, where the module's text says the derivative is exact.
+    fn sight<const D: usize>(k: usize, arm: f64) -> Sight<D> {
+        let wave = |p: usize, c: usize| (1.7 * (p + 3 * k) as f64 + 2.3 * c as f64).sin();
+        let turn: Vec<f64> = (0..turns(D)).map(|c| 2.0 * wave(0, c)).collect();
+        let cam_from_world = Rotation::<D>::exp_of(&turn);
+        let center: Vector<D> = std::array::from_fn(|c| wave(1, c));
+        let point: Vector<D> = std::array::from_fn(|c| center[c] + 3.0 * wave(2, c) + 0.5);
+        let lever: Vector<D> = std::array::from_fn(|c| arm * wave(3, c));
+        let seen = cam_from_world.apply(&crate::geometry::sub(&point, &center));
+        let bearing = normalized(&crate::geometry::sub(&seen, &lever));
+        let stations = Stations { node: vec![0], node_freedom: vec![turns(D) + D], gauge_freedom: 0 };
+        let part = Part::new(stations, 1, &[0], &[0], |_| 0, |_| Lanes::from_vector::<D>(&bearing));
+        let sights = Sights { bearing: vec![Lanes::from_vector::<D>(&bearing)], lever: vec![lever] };
+        let poses = Poses { cam_from_world: vec![cam_from_world], centers: vec![Lanes::from_vector::<D>(&center)] };
+        Sight { part, sights, poses, point: Lanes::from_vector::<D>(&point) }
+    }
+
+    impl<const D: usize> Sight<D> {
+        /// `v - u / |u|` in the frame of the camera.
+        fn residual(&self, poses: &Poses<D>, point: &Lanes) -> Vector<D> {
+            let ray = self.sights.rays(&self.part, poses)[0];
+            let u = point.minus(&self.sights.stations(&self.part, poses)[0]);
+            let error = ray.plus_scaled(-1.0 / u.dot::<D>(&u).sqrt(), &u);
+            poses.cam_from_world[0].apply(&error.vector::<D>())
+        }
+    }
+
+    fn close(found: f64, wanted: f64, what: &str) {
+        assert!((found - wanted).abs() < 1e-8 * (1.0 + wanted.abs()), "{what}: {found}, by differences {wanted}");
+    }
+
+    fn check<const D: usize, const V: usize>(k: usize, arm: f64) {
+        let what = format!("d = {D}, case {k}, lever {arm}");
+        let it = sight::<D>(k, arm);
+        let (centers, points) = (&it.poses.centers, [it.point]);
+        let turns = Turns { part: &it.part, centers, points: &points };
+        // the derivative by the point, turned back to the world: rows of -(I - u u^T) / r
+        let by_point = by_place::<D, D>(&it.point, |x| it.residual(&it.poses, x));
+        let by_pose = by_unknowns::<D, V, D>(&it.poses, |poses| it.residual(poses, &it.point));
+        let mut rows = [PoseRow::ZERO; D];
+        for r in 0..D {
+            let row = Lanes::from_vector::<D>(&std::array::from_fn(|c| -by_point[c][r]));
+            rows[r] = Freedoms::<D, V>::lift(&turns, 0, 0, &row);
+            for c in 0..V {
+                close(rows[r].at(c), by_pose[c][r], &format!("{what}, lift ({r}, {c})"));
+            }
+        }
+        // K^T, against K by rows of the identity
+        let unit = |r: usize| Lanes(std::array::from_fn(|c| f64::from(u8::from(c == r))));
+        let k_rows: [PoseRow; D] = std::array::from_fn(|r| Freedoms::<D, V>::lift(&turns, 0, 0, &unit(r)));
+        let lifted = Freedoms::<D, V>::lift_rows(&turns, 0, 0, &rows);
+        for r in 0..V {
+            for c in 0..V {
+                let wanted = (0..D).map(|k| k_rows[k].at(r) * rows[k].at(c)).sum();
+                close(lifted[r].at(c), wanted, &format!("{what}, lift_rows ({r}, {c})"));
+            }
+        }
+        // K times a step
+        let step: [f64; V] = std::array::from_fn(|c| 0.3 - 0.2 * c as f64);
+        let follow = PoseStep::<D, V> { layout: &it.part, centers, step: vec![step] };
+        let displaced = follow.displacement(0, &it.point);
+        for r in 0..D {
+            let wanted = (0..V).map(|c| k_rows[r].at(c) * step[c]).sum();
+            close(displaced.0[r], wanted, &format!("{what}, displacement {r}"));
+        }
+        assert!(displaced.0[D..].iter().all(|&x| x == 0.0), "{what}: lanes beyond the dimension stay zero");
+    }
+
+    #[test]
+    fn derivatives_by_poses_are_right() {
+        for k in 0..8 {
+            for arm in [0.0, 0.4] {
+                check::<3, 6>(k, arm);
+                check::<2, 3>(k, arm);
+            }
         }
     }
 }

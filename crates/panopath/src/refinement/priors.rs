@@ -79,6 +79,15 @@ impl<const D: usize> PartPriors<D> {
         self.directions.iter().all(|(_, d)| 1.0 - dot(&d.direction, &self.directions[0].1.direction).abs() < PARALLEL)
     }
 
+    /// Unknowns of each node that its own priors fix, at most as many as it has of a kind.
+    pub fn rows(&self, n_nodes: usize) -> Vec<usize> {
+        let (mut of_turn, mut of_place) = (vec![0; n_nodes], vec![0; n_nodes]);
+        self.rotations.iter().for_each(|(node, ..)| of_turn[*node as usize] += turns(D));
+        self.directions.iter().for_each(|(node, _)| of_turn[*node as usize] += D - 1);
+        self.positions.iter().for_each(|(node, ..)| of_place[*node as usize] += D);
+        of_turn.iter().zip(&of_place).map(|(turn, place)| turns(D).min(*turn) + D.min(*place)).collect()
+    }
+
     /// Nodes with a known position, and where, in the frame of the piece.
     pub fn positions(&self) -> impl Iterator<Item = (u32, Vector<D>)> {
         self.positions.iter().map(|(node, center, _)| (*node, *center))
@@ -257,4 +266,124 @@ pub(super) fn check<const D: usize>(priors: &Priors<D>, n_views: usize) -> Resul
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::differences::by_unknowns;
+    use super::*;
+    use crate::bundle::part::Lanes;
+    use crate::geometry::normalized;
+
+    const SIZES: [f64; 8] = [0.0, 1e-9, 1e-3, 9e-3, 1.1e-2, 0.7, 2.0, 3.0];
+
+    fn axis(k: usize) -> Vector<3> {
+        let s = k as f64;
+        normalized(&[(1.3 * s).sin(), (2.1 * s + 0.4).cos(), (0.7 * s - 1.0).sin()])
+    }
+
+    fn poses<const D: usize>(turn: &[f64]) -> Poses<D> {
+        let centers = vec![Lanes::from_vector::<D>(&std::array::from_fn(|c| 0.3 + c as f64))];
+        Poses { cam_from_world: vec![Rotation::exp_of(turn)], centers }
+    }
+
+    fn priors<const D: usize>() -> PartPriors<D> {
+        PartPriors { rotations: vec![], directions: vec![], positions: vec![], huber_sigmas: f64::INFINITY }
+    }
+
+    const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+    fn check_derivative<const D: usize, const V: usize>(priors: &PartPriors<D>, poses: &Poses<D>, what: &str) {
+        let model = &priors.models::<V>(poses)[0];
+        let columns = by_unknowns::<D, V, 3>(poses, |moved| priors.models::<V>(moved)[0].error);
+        for r in 0..3 {
+            for c in 0..V {
+                let (found, wanted) = (model.derivative[r][c], columns[c][r]);
+                assert!((found - wanted).abs() < 2e-7, "{what} ({r}, {c}): {found}, by differences {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn derivatives_of_orientations_are_right_at_any_error() {
+        for (k, size) in SIZES.into_iter().enumerate() {
+            for a in 0..5 {
+                let turn = axis(a);
+                let off = Rotation::<3>::exp(&crate::geometry::scale(size, &axis(a + k)));
+                let prior = off.compose(&Rotation::exp_of(&turn));
+                let known = PartPriors { rotations: vec![(0, prior, UNIT)], ..priors::<3>() };
+                check_derivative::<3, 6>(&known, &poses(&turn), &format!("{size} about {a}"));
+            }
+            let known = PartPriors { rotations: vec![(0, Rotation::from_angle(0.4 + size), UNIT)], ..priors::<2>() };
+            check_derivative::<2, 3>(&known, &poses(&[0.4]), &format!("{size} in the plane"));
+        }
+    }
+
+    #[test]
+    fn derivatives_of_positions_are_right() {
+        let of_space = PartPriors { positions: vec![(0, [2.0, -3.0, 0.5], UNIT)], ..priors::<3>() };
+        check_derivative::<3, 6>(&of_space, &poses(&[0.1, 0.2, 0.3]), "space");
+        let of_plane = PartPriors { positions: vec![(0, [2.0, -3.0], UNIT)], ..priors::<2>() };
+        check_derivative::<2, 3>(&of_plane, &poses(&[0.1]), "plane");
+    }
+
+    /// The derivative is that of a small error; of a large one, the gradient has the direction of the true one.
+    fn check_direction<const D: usize, const V: usize>(turn: &[f64], off: &[f64], size: f64, what: &str) {
+        let poses = poses::<D>(turn);
+        let direction: Vector<D> = normalized(&std::array::from_fn(|c| 1.0 - 1.7 * c as f64));
+        let bearing = Rotation::<D>::exp_of(off).compose(&poses.cam_from_world[0]).apply(&direction);
+        let prior = DirectionPrior { view: 0, bearing, direction, sigma_rad: 1.0 };
+        let known = PartPriors { directions: vec![(0, prior)], ..priors::<D>() };
+        if size < 1e-8 {
+            check_derivative::<D, V>(&known, &poses, what);
+        }
+        let term = &known.terms::<V>(&poses, 1.0)[0];
+        let slope = by_unknowns::<D, V, 1>(&poses, |moved| [0.5 * known.cost(moved, 1.0)]);
+        let length = |x: &[f64]| x.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let slope: Vec<f64> = slope.iter().map(|s| -s[0]).collect();
+        let along: f64 = term.gradient.iter().zip(&slope).map(|(g, s)| g * s).sum();
+        if length(&slope) > 1e-4 {
+            let cosine = along / (length(&slope) * length(&term.gradient));
+            assert!(cosine > 1.0 - 1e-6, "{what}: {cosine}, {:?}, {slope:?}", term.gradient);
+        }
+        // the chord is what the error is of: the cost rises all the way to the opposite
+        let angle = crate::geometry::angle_between(&poses.cam_from_world[0].inverse().apply(&bearing), &direction);
+        let chord = 2.0 * (0.5 * angle).sin();
+        assert!((known.cost(&poses, 1.0) - chord * chord).abs() < 1e-12, "{what}");
+    }
+
+    #[test]
+    fn measured_directions_pull_the_right_way_at_any_error() {
+        for (k, size) in SIZES.into_iter().enumerate() {
+            for a in 0..5 {
+                let off = crate::geometry::scale(size, &axis(a + k));
+                check_direction::<3, 6>(&axis(a), &off, size, &format!("{size} about {a}"));
+            }
+            check_direction::<2, 3>(&[0.8], &[size], size, &format!("{size} in the plane"));
+        }
+    }
+
+    #[test]
+    fn the_inverse_jacobian_is_smooth_where_its_series_takes_over() {
+        for (below, above) in [(0.01 * (1.0 - 1e-9), 0.01 * (1.0 + 1e-9))] {
+            let [a, b] = [below, above].map(|size| inverse_left_jacobian(&crate::geometry::scale(size, &axis(2))));
+            for (x, y) in a.as_flattened().iter().zip(b.as_flattened()) {
+                assert!((x - y).abs() < 1e-10, "{x} {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_covariance_becomes_its_inverse_and_nothing_else() {
+        let found = information_of::<3>(&[[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.5]], 3).unwrap_or(UNIT);
+        let wanted = [[2.0 / 7.0, -1.0 / 7.0, 0.0], [-1.0 / 7.0, 4.0 / 7.0, 0.0], [0.0, 0.0, 2.0]];
+        for (x, y) in found.as_flattened().iter().zip(wanted.as_flattened()) {
+            assert!((x - y).abs() < 1e-15, "{found:?}");
+        }
+        // in the plane a turn has one entry
+        assert_eq!(information_of::<2>(&[[4.0, 9.0], [9.0, 0.0]], 1).map(|m| m[0]), Some([0.25, 0.0, 0.0]));
+        for bad in [[[1.0, 2.0], [2.0, 1.0]], [[0.0; 2]; 2], [[f64::INFINITY, 0.0], [0.0, 1.0]]] {
+            assert!(information_of::<2>(&bad, 2).is_none());
+        }
+    }
 }

@@ -1,6 +1,8 @@
 //! What the tests of the solver share: scenes made by hand, what every answer must hold, and errors up to gauge.
 #![allow(dead_code)]
 
+pub mod poses;
+
 use panopath::geometry::{Rotation, Similarity, Vector, add, angle_between, norm, normalized, scale, sub};
 use panopath::positions::*;
 use panopath::synthetic::{World, WorldKind, WorldOptions};
