@@ -17,7 +17,14 @@ import numpy.typing as npt
 from panopath.formats.database import Database
 from panopath.formats.models import Reconstruction
 from panopath.model import Bool, Float, InputError, Scene, Tracks
-from panopath.pipeline import ReconstructOptions, ViewOrientations, metric_scale, orientation_priors, place_views
+from panopath.pipeline import (
+    ReconstructOptions,
+    ViewOrientations,
+    metric_scale,
+    orientation_priors,
+    place_views,
+    turned_to_priors,
+)
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig
 from panopath.steps import (
     CorrespondenceOptions,
@@ -115,13 +122,13 @@ def map_database(
     matches = _Matches.of(database, chosen)
     say(f"orienting {database.n_frames} views by {len(matches.pair)} pairs")
     priors = _priors(database, chosen)
-    oriented = _orient(views, matches, priors, chosen)
+    oriented = _orient(database.n_frames, views, matches, priors, chosen)
     say("joining matches to tracks")
     judged = matches.select(_agree_with_orientations(views, matches, oriented, chosen))
     features = _join(database, judged, chosen)
     say(f"placing {database.n_frames} views and {features.n_tracks} points")
     tracks, rig = _tracks(database, views, features, chosen)
-    start = place_views(tracks, oriented, chosen.steps.positions)
+    start = turned_to_priors(place_views(tracks, oriented, chosen.steps.positions), priors)
     refinement = replace(chosen.steps.refine, priors=priors)
     if rig is not None and priors.positions is None:
         start = metric_scale(tracks, start, rig)
@@ -228,9 +235,8 @@ def _priors(database: Database, options: MapOptions) -> Priors:
     return Priors(positions=positions, directions=directions)
 
 
-def _orient(views: _Views, matches: _Matches, priors: Priors, options: MapOptions) -> ViewOrientations:
+def _orient(n_views: int, views: _Views, matches: _Matches, priors: Priors, options: MapOptions) -> ViewOrientations:
     """Relative poses of the views that share most, averaged."""
-    n_views = int(views.view.max(initial=-1)) + 1
     ends = views.view[matches.feature]
     # a match within one frame tells of no motion; the smaller view comes first
     swap = ends[:, 0] > ends[:, 1]
@@ -335,9 +341,10 @@ def _agree_with_poses(views: _Views, matches: _Matches, scene: Scene, options: M
         off_plane_a = np.abs(np.einsum("ni,ni->n", other, ray_a)) / np.linalg.norm(other, axis=1)
         limit = options.max_epipolar_error_px * np.maximum(views.pixel_rad[first], views.pixel_rad[second])
         near = np.minimum(off_plane_a, off_plane_b) < limit
-        # the rays turn towards each other, unless they are parallel within the limit
+        # the rays turn towards each other, unless they are parallel within the limit: neither meets the other behind
         across = np.cross(ray_a, ray_b)
         meets = np.einsum("ni,ni->n", normal, across) > -limit * length
+        meets &= np.einsum("ni,ni->n", other, across) > -limit * np.linalg.norm(other, axis=1)
     return np.asarray(known & near & meets)
 
 

@@ -117,9 +117,11 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
         rotations = check_orientations(orientations, tracks.n_views, tracks.d)
         oriented = ViewOrientations(rotations, np.zeros(tracks.n_views, dtype=np.int32))
     start = place_views(tracks, oriented, chosen.positions)
+    if orientations is None:
+        start = turned_to_priors(start, known)
     if rig is not None and known.positions is None:
         start = metric_scale(tracks, start, rig)
-    return refine(tracks, start, replace(chosen.refine, priors=known), rig)
+    return _forgotten(refine(tracks, start, replace(chosen.refine, priors=known), rig), oriented)
 
 
 def orient_views(
@@ -203,8 +205,33 @@ def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> S
         inlier=inlier,
         residual_rad=residual,
         cam_from_world=np.where(turned, second.cam_from_world, base.cam_from_world),
-        summary=second.summary if first is None else base.summary,
+        summary=second.summary if first is None else _summary_of_both(base.summary, second.summary),
     )
+
+
+def _summary_of_both(first: Summary, second: Summary) -> Summary:
+    """Summary of two parts that share no observation; the noise is that of the part that used more of them."""
+    counted = {
+        name: getattr(first, name) + getattr(second, name)
+        for name in ("n_inliers", "n_solved_views", "n_solved_points", "n_components", "iterations")
+    }
+    solved = [s for s in (first, second) if s.n_components]
+    if any(s.status is Status.AMBIGUOUS for s in solved):
+        status = Status.AMBIGUOUS
+    elif len(solved) == 2:
+        status = Status.DISCONNECTED
+    else:
+        status = (solved or [first])[0].status
+    main = max(first, second, key=lambda s: s.n_inliers)
+    return replace(first, status=status, sigma_rad=main.sigma_rad, **counted)
+
+
+def _forgotten(scene: Scene, oriented: ViewOrientations) -> Scene:
+    """Say nothing of how views are turned that could not be oriented: steps had a stand-in for them."""
+    unknown = (oriented.view_component < 0) & (scene.view_component < 0)
+    rotation = np.array(scene.cam_from_world)
+    rotation[unknown] = np.nan
+    return replace(scene, cam_from_world=rotation)
 
 
 def _nothing(tracks: Tracks, cam_from_world: Float) -> Scene:
@@ -237,6 +264,10 @@ def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks)
     if priors.directions is not None:
         raise InputError("gravity and priors.directions are both given, expected one of them")
     known = np.flatnonzero(np.isfinite(up).all(axis=1))
+    length = np.linalg.norm(up[known], axis=1, keepdims=True)
+    if not length.all():
+        raise InputError(f"gravity[{known[int(np.argmin(length))]}] has length 0, expected a direction")
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
     return replace(priors, directions=DirectionPriors.gravity(known, up[known], _GRAVITY_SIGMA_RAD))
 
 
@@ -256,6 +287,75 @@ def orientation_priors(priors: Priors | None) -> list[OrientationPriors | Gravit
     return found
 
 
+#: What the present turn of a scene weighs against one kind of prior: it decides where they leave a turn free.
+_PRESENT_TURN = 1e-6
+
+
+def turned_to_priors(scene: Scene, priors: Priors) -> Scene:
+    """Turn each component to the priors, so that a refinement begins near its end.
+
+    The rotation ``R`` that maximises ``trace(R^T B)``, where ``B`` adds for each kind of prior the mean of
+
+        orientations  cam_from_world_prior^T cam_from_world
+        directions    direction (cam_from_world^T bearing)^T
+        positions     (known - mean) (centre - mean)^T, by their lengths
+
+    (Wahba's problem; Kabsch's for the last). Gravity with positions fixes a turn that neither fixes alone.
+
+    Parameters
+    ----------
+    scene
+        Oriented and placed in a frame of its own.
+    priors
+        Orientations, directions and positions in the world.
+    """
+    center, point = np.array(scene.centers), np.array(scene.points)
+    heading = scene.d == 2
+    cam_from_world = np.array(_matrices(scene.cam_from_world) if heading else scene.cam_from_world)
+    for part in range(scene.n_components):
+        views, points = scene.view_component == part, scene.track_component == part
+        evidence = _evidence_of_turn(views, scene.centers, cam_from_world, priors)
+        if evidence is None:
+            continue
+        left, _, right = np.linalg.svd(evidence + _PRESENT_TURN * np.eye(scene.d))
+        left[:, -1] *= np.sign(np.linalg.det(left @ right))
+        turn = left @ right
+        center[views], point[points] = scene.centers[views] @ turn.T, scene.points[points] @ turn.T
+        cam_from_world[views] = cam_from_world[views] @ turn.T
+    rotation = np.arctan2(cam_from_world[:, 0, 1], cam_from_world[:, 0, 0]) if heading else cam_from_world
+    return replace(scene, centers=center, points=point, cam_from_world=rotation)
+
+
+def _evidence_of_turn(views: Bool, centers: Float, cam_from_world: Float, priors: Priors) -> Float | None:
+    """``B`` of :func:`turned_to_priors` for some views; None where no prior is about them."""
+    evidence: list[Float] = []
+    if priors.rotations is not None:
+        given = priors.rotations
+        rows = views[given.view]
+        known = given.cam_from_world[rows]
+        known = _matrices(known) if known.ndim == 1 else known
+        evidence.append(np.einsum("nki,nkj->ij", known, cam_from_world[given.view[rows]]) / max(rows.sum(), 1))
+    if priors.directions is not None:
+        towards = priors.directions
+        rows = views[towards.view]
+        found = np.einsum("nki,nk->ni", cam_from_world[towards.view[rows]], towards.bearing[rows])
+        evidence.append(towards.direction[rows].T @ found / max(rows.sum(), 1))
+    if priors.positions is not None:
+        rows = views[priors.positions.view]
+        if rows.sum() >= 2:
+            a, b = (x - x.mean(axis=0) for x in (priors.positions.center[rows], centers[priors.positions.view[rows]]))
+            length = float(np.linalg.norm(a) * np.linalg.norm(b))
+            evidence.append(a.T @ b / length if length > 0.0 else np.zeros((a.shape[1], a.shape[1])))
+    total = np.sum(evidence, axis=0) if evidence else np.zeros(1)
+    return np.asarray(total) if np.any(total) else None
+
+
+def _matrices(heading: Float) -> Float:
+    """``cam_from_world`` of headings, (n, 2, 2)."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.stack((np.stack((cos, sin), axis=1), np.stack((-sin, cos), axis=1)), axis=1)
+
+
 #: Sizes of the scene that are tried, against that of the rig: factors of two.
 _SIZES = 2.0 ** np.arange(-4, 14)
 #: Observations that the trial looks at, about.
@@ -263,7 +363,7 @@ _ENOUGH_OBSERVATIONS = 20_000
 
 
 def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
-    """Bring a scene of unknown size near the size at which the rig's own baselines fit best.
+    """Bring each component of unknown size near the size at which the rig's own baselines fit best.
 
     Cameras are held and points intersected anew at sizes a factor of two apart; a refinement finds the rest.
 
@@ -274,26 +374,38 @@ def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
     scene
         Right but for its size.
     """
-    placed = scene.centers[scene.view_component == 0]
-    if not len(placed):
-        return scene
-    extent = np.linalg.norm(placed - placed.mean(axis=0), axis=1).max()
     arm = np.linalg.norm(rig.center - rig.center.mean(axis=0), axis=1).max()
-    if not (extent > 0.0 and arm > 0.0):
+    extent = np.array([_extent(scene.centers[scene.view_component == part]) for part in range(scene.n_components)])
+    if not (arm > 0.0 and extent.any()):
         return scene
     options = RefineOptions(hold_rotations=True, hold_centers=True, reject_outliers=False, max_iterations=8)
     some = tracks.track % (1 + len(tracks) // _ENOUGH_OBSERVATIONS) == 0
     sample = tracks.select(some)
     sensors = replace(rig, sensor=rig.sensor[some])
     trial = replace(scene, tracks=None, inlier=scene.inlier[some], residual_rad=scene.residual_rad[some])
-    factors = _SIZES * arm / extent
-    misfit = []
-    for factor in factors:
-        scaled = replace(trial, centers=factor * scene.centers, points=factor * scene.points)
-        residual = refine(sample, scaled, options, sensors).residual_rad
-        misfit.append(float(np.nanmean(np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2)))
-    best = factors[int(np.argmin(misfit))]
-    return replace(scene, centers=best * scene.centers, points=best * scene.points)
+    unit = np.where(extent > 0.0, arm / np.maximum(extent, np.finfo(float).tiny), 1.0)
+    owner = scene.view_component[sample.view]
+    misfit = np.full((len(_SIZES), len(unit)), np.inf)
+    for size, row in zip(_SIZES, misfit, strict=True):
+        residual = refine(sample, _sized(trial, size * unit), options, sensors).residual_rad
+        squared = np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2
+        for part in range(len(unit)):
+            counted = (owner == part) & np.isfinite(squared)
+            row[part] = squared[counted].mean() if counted.any() else np.inf
+    best = np.where(extent > 0.0, _SIZES[misfit.argmin(axis=0)] * unit, 1.0)
+    return _sized(scene, best)
+
+
+def _extent(centers: Float) -> float:
+    """Largest distance from the mean."""
+    return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) if len(centers) else 0.0
+
+
+def _sized(scene: Scene, factor: Float) -> Scene:
+    """Scale each component by its own factor."""
+    of_view = np.append(factor, 1.0)[scene.view_component]
+    of_track = np.append(factor, 1.0)[scene.track_component]
+    return replace(scene, centers=of_view[:, None] * scene.centers, points=of_track[:, None] * scene.points)
 
 
 def fit_to_control(scene: Scene, control: Control) -> Scene:
