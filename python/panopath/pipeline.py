@@ -43,6 +43,7 @@ from panopath.steps import (
     view_pairs,
 )
 from panopath.steps.positions import control_rows
+from panopath.steps.refinement import prior_columns, rig_columns
 
 #: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
 _LEAST_EDGE_SIGMA_RAD = 1e-4
@@ -110,6 +111,7 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
         Naming the argument that cannot be used.
     """
     chosen = ReconstructOptions() if options is None else options
+    _check_given(tracks, priors, chosen, rig)
     known = _with_gravity(Priors() if priors is None else priors, gravity, tracks)
     if orientations is None:
         oriented = orient_views(tracks, known, chosen)
@@ -122,6 +124,28 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
     if rig is not None and known.positions is None:
         start = metric_scale(tracks, start, rig)
     return _forgotten(refine(tracks, start, replace(chosen.refine, priors=known), rig), oriented)
+
+
+def _check_given(tracks: Tracks, priors: Priors | None, options: ReconstructOptions, rig: Rig | None) -> None:
+    """Complain before the long work, not after it."""
+    wanted: tuple[tuple[str, object, type], ...] = (
+        ("tracks", tracks, Tracks),
+        ("priors", Priors() if priors is None else priors, Priors),
+        ("options", options, ReconstructOptions),
+    )
+    for name, value, kind in wanted:
+        if not isinstance(value, kind):
+            raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
+    if rig is not None:
+        if not isinstance(rig, Rig):
+            raise InputError(f"rig is a {type(rig).__name__}, expected Rig")
+        rig_columns(rig, tracks)
+    for name, columns in prior_columns(Priors() if priors is None else priors, tracks.d).items():
+        ids, values = columns[0], columns[1]
+        if name == "rotation_priors" and (values.ndim == 1) != (tracks.d == 2):
+            raise InputError(f"{name} have shape {values.shape}, but the bearings have {tracks.d} coordinates")
+        if len(ids) and ids.max() >= tracks.n_views:
+            raise InputError(f"{name}: entry {int(ids.argmax())} names view {ids.max()} of {tracks.n_views}")
 
 
 def orient_views(
@@ -258,7 +282,10 @@ _GRAVITY_SIGMA_RAD = float(np.radians(0.5))
 def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks) -> Priors:
     if gravity is None:
         return priors
-    up = np.asarray(gravity, dtype=np.float64)
+    try:
+        up = np.asarray(gravity, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("gravity does not hold numbers") from None
     if tracks.d != 3 or up.shape != (tracks.n_views, 3):
         raise InputError(f"gravity has shape {up.shape}, expected ({tracks.n_views}, 3) for views in space")
     if priors.directions is not None:
