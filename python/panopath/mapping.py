@@ -136,7 +136,7 @@ def map_database(
     scene = refine(tracks, start, refinement, rig)
     if chosen.retriangulate:
         say("judging matches again, refining")
-        features, tracks, rig, scene = _second_pass(database, views, matches, scene, refinement, chosen)
+        features, scene = _second_pass(database, views, matches, (features, scene), refinement, chosen)
     return MappedDatabase(scene, _reconstruction(database, features, scene))
 
 
@@ -220,7 +220,9 @@ def _priors(database: Database, options: MapOptions) -> Priors:
         image = image[first]
         if len(image):
             covariance = np.array(database.position_covariance[image])
+            # receivers that know nothing of their accuracy leave zeros
             unknown = ~np.isfinite(covariance).all(axis=(1, 2))
+            unknown |= np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0] <= 0.0
             covariance[unknown] = np.eye(3) * options.prior_position_sigma**2
             positions = PositionPriors.of(frame, known[image], covariance=covariance)
     if options.use_gravity:
@@ -382,12 +384,15 @@ def _second_pass(  # noqa: PLR0917
     database: Database,
     views: _Views,
     matches: _Matches,
-    scene: Scene,
+    first: tuple[FeatureTracks, Scene],
     refinement: RefineOptions,
     options: MapOptions,
-) -> tuple[FeatureTracks, Tracks, Rig | None, Scene]:
+) -> tuple[FeatureTracks, Scene]:
     """Join what agrees with the refined poses, intersect all points anew and refine again."""
+    scene = first[1]
     features = _join(database, matches.select(_agree_with_poses(views, matches, scene, options)), options)
+    if not len(features):
+        return first  # views that only turned: no poses to agree with
     tracks, rig = _tracks(database, views, features, options)
     start = replace(
         scene,
@@ -398,7 +403,7 @@ def _second_pass(  # noqa: PLR0917
         tracks=tracks,
         track_names=None,
     )
-    return features, tracks, rig, refine(tracks, start, refinement, rig)
+    return features, refine(tracks, start, refinement, rig)
 
 
 def _reconstruction(database: Database, features: FeatureTracks, scene: Scene) -> Reconstruction:
