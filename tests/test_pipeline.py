@@ -373,6 +373,29 @@ def test_control_turns_and_sizes_each_part() -> None:
     assert np.abs(np.angle(np.exp(1j * (turned.cam_from_world - plane.cam_from_world)))).max() < 1.0 * DEG
 
 
+def test_control_on_a_line_and_without_a_turn() -> None:
+    seen = world("room", outlier_fraction=0.0)
+    scene = pp.solve_positions(seen.tracks, seen.cam_from_world)
+    truth = pp.evaluate(scene, seen, alignment="translation_scale").aligned_centers
+    yaw = exp(np.array([[0.0, 0.0, 2.0]]))[0]
+    # two positions: the turn about their line stays, so that level stays level
+    a, b = seen.centers[[0, -1]] * [1.0, 1.0, 0.0] @ yaw.T
+    flat = replace(scene, centers=scene.centers * [1.0, 1.0, 0.0])
+    ends = fit_to_control(flat, pp.Control(views={0: a.tolist(), N_VIEWS - 1: b.tolist()}))
+    np.testing.assert_allclose(ends.centers[:, 2], 0.0, atol=1e-6)
+    up = np.einsum("nij,nj->ni", ends.cam_from_world, np.tile([0.0, 0.0, 1.0], (N_VIEWS, 1)))
+    np.testing.assert_allclose(up, seen.cam_from_world[:, :, 2], atol=1e-5)
+    # shift and scale alone: the turn of the positions is left over
+    views: dict[str | int, Any] = {v: (5.0 + 3.0 * truth[v]).tolist() for v in (0, 7, 19)}
+    unturned = fit_to_control(scene, pp.Control(views=views, rotation=False))
+    np.testing.assert_allclose(unturned.centers, 5.0 + 3.0 * truth, atol=0.1)
+    np.testing.assert_array_equal(unturned.cam_from_world, scene.cam_from_world)
+    # all in one place: no scale
+    same = fit_to_control(scene, pp.Control(views={0: (9.0, 9.0, 9.0), 1: (9.0, 9.0, 9.0)}))
+    np.testing.assert_allclose(same.centers[:2].mean(axis=0), 9.0)
+    np.testing.assert_allclose(same.centers - same.centers[0], scene.centers - scene.centers[0])
+
+
 def test_control_and_gravity_at_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen = world(n=12)
     write_tracks(seen.tracks, tmp_path / "b.csv")
@@ -442,6 +465,10 @@ def seen_twice() -> pp.SyntheticWorld:
         ({"priors": [1.0]}, "priors is a list, expected Priors"),
         ({"options": 3}, "options is a int, expected ReconstructOptions"),
         ({"tracks": 3}, "tracks is a int, expected Tracks"),
+        (
+            {"options": ReconstructOptions(positions=pp.PositionOptions(gauge="paper"))},
+            "options.positions.gauge is 'paper', expected 'normalized'",
+        ),
         ({"rig": Rig.of([0], np.eye(3)[None], np.zeros((1, 3)))}, "rig.sensor has 1 entries"),
         ({"rig": 3}, "rig is a int, expected Rig"),
     ],

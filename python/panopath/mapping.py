@@ -117,6 +117,9 @@ def map_database(
         Where no pair of images has enough matches.
     """
     chosen = MapOptions() if options is None else options
+    for name, value, kind in (("database", database, Database), ("options", chosen, MapOptions)):
+        if not isinstance(value, kind):
+            raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
     say = report or (lambda _: None)
     views = _Views.of(database)
     matches = _Matches.of(database, chosen)

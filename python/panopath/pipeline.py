@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from panopath.evaluate import fit_similarity
 from panopath.model import (
     Bool,
     Control,
@@ -136,6 +135,11 @@ def _check_given(tracks: Tracks, priors: Priors | None, options: ReconstructOpti
     for name, value, kind in wanted:
         if not isinstance(value, kind):
             raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
+    if options.positions.gauge != "normalized":
+        raise InputError(
+            f"options.positions.gauge is {options.positions.gauge!r}, expected 'normalized': a refinement follows, "
+            "which keeps no other (see fit_to_control for known positions)"
+        )
     if rig is not None:
         if not isinstance(rig, Rig):
             raise InputError(f"rig is a {type(rig).__name__}, expected Rig")
@@ -344,13 +348,18 @@ def turned_to_priors(scene: Scene, priors: Priors) -> Scene:
         evidence = _evidence_of_turn(views, scene.centers, cam_from_world, priors)
         if evidence is None:
             continue
-        left, _, right = np.linalg.svd(evidence + _PRESENT_TURN * np.eye(scene.d))
-        left[:, -1] *= np.sign(np.linalg.det(left @ right))
-        turn = left @ right
+        turn = _turn_by(evidence)
         center[views], point[points] = scene.centers[views] @ turn.T, scene.points[points] @ turn.T
         cam_from_world[views] = cam_from_world[views] @ turn.T
     rotation = np.arctan2(cam_from_world[:, 0, 1], cam_from_world[:, 0, 0]) if heading else cam_from_world
     return replace(scene, centers=center, points=point, cam_from_world=rotation)
+
+
+def _turn_by(evidence: Float) -> Float:
+    """Rotation that maximises ``trace(R^T evidence)``; what that leaves free stays as it is."""
+    left, _, right = np.linalg.svd(evidence + _PRESENT_TURN * np.eye(len(evidence)))
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ right)
 
 
 def _evidence_of_turn(views: Bool, centers: Float, cam_from_world: Float, priors: Priors) -> Float | None:
@@ -370,11 +379,16 @@ def _evidence_of_turn(views: Bool, centers: Float, cam_from_world: Float, priors
     if priors.positions is not None:
         rows = views[priors.positions.view]
         if rows.sum() >= 2:
-            a, b = (x - x.mean(axis=0) for x in (priors.positions.center[rows], centers[priors.positions.view[rows]]))
-            length = float(np.linalg.norm(a) * np.linalg.norm(b))
-            evidence.append(a.T @ b / length if length > 0.0 else np.zeros((a.shape[1], a.shape[1])))
+            evidence.append(_correlation(centers[priors.positions.view[rows]], priors.positions.center[rows]))
     total = np.sum(evidence, axis=0) if evidence else np.zeros(1)
     return np.asarray(total) if np.any(total) else None
+
+
+def _correlation(source: Float, target: Float) -> Float:
+    """Sum of ``(target - mean) (source - mean)^T``, both brought to length one; zero where one is a single place."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    length = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return np.asarray(b.T @ a / length) if length > 0.0 else np.zeros((source.shape[1], source.shape[1]))
 
 
 def _matrices(heading: Float) -> Float:
@@ -436,7 +450,10 @@ def _sized(scene: Scene, factor: Float) -> Scene:
 
 
 def fit_to_control(scene: Scene, control: Control) -> Scene:
-    """Turn, shift and scale each component to known positions, by least squares.
+    """Shift, scale and (where ``control.rotation``) turn each component to known positions, by least squares.
+
+    Positions on a line leave a turn about it free, which then stays as it was. Components with fewer than two known
+    positions stay where they are.
 
     Raises
     ------
@@ -458,7 +475,7 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
         if given.sum() < 2:
             continue
         known = True
-        scale, turn, shift = fit_similarity(found[given], truth[given])
+        scale, turn, shift = _similarity(found[given], truth[given], turns=control.rotation)
         center[in_views] = scale * scene.centers[in_views] @ turn.T + shift
         point[in_points] = scale * scene.points[in_points] @ turn.T + shift
         if scene.d == 2:
@@ -470,3 +487,16 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
             "control: fewer than two of the known positions belong to one solved part, expected at least two"
         )
     return replace(scene, centers=center, points=point, cam_from_world=rotation)
+
+
+def _similarity(source: Float, target: Float, *, turns: bool) -> tuple[float, Float, Float]:
+    """Scale, rotation and shift of the best ``target = scale * rotation @ source + shift`` (Umeyama 1991)."""
+    correlation = _correlation(source, target)
+    turn = _turn_by(correlation) if turns and correlation.any() else np.eye(source.shape[1])
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    scale = 1.0
+    if correlation.any():
+        # a negative scale would turn the scene inside out
+        gain = max(float(np.sum(turn * correlation)), 0.0)
+        scale = gain * float(np.linalg.norm(b) / np.linalg.norm(a))
+    return scale, turn, target.mean(axis=0) - scale * turn @ source.mean(axis=0)
