@@ -110,12 +110,15 @@ def map_database(
         Where no pair of images has enough matches.
     """
     chosen = MapOptions() if options is None else options
+    for name, value, kind in (("database", database, Database), ("options", chosen, MapOptions)):
+        if not isinstance(value, kind):
+            raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
     say = report or (lambda _: None)
     views = _Views.of(database)
     matches = _Matches.of(database, chosen)
     say(f"orienting {database.n_frames} views by {len(matches.pair)} pairs")
     priors = _priors(database, chosen)
-    oriented = _orient(views, matches, priors, chosen)
+    oriented = _orient(database.n_frames, views, matches, priors, chosen)
     say("joining matches to tracks")
     judged = matches.select(_agree_with_orientations(views, matches, oriented, chosen))
     features = _join(database, judged, chosen)
@@ -129,7 +132,7 @@ def map_database(
     scene = refine(tracks, start, refinement, rig)
     if chosen.retriangulate:
         say("judging matches again, refining")
-        features, tracks, rig, scene = _second_pass(database, views, matches, scene, refinement, chosen)
+        features, scene = _second_pass(database, views, matches, (features, scene), refinement, chosen)
     return MappedDatabase(scene, _reconstruction(database, features, scene))
 
 
@@ -213,7 +216,9 @@ def _priors(database: Database, options: MapOptions) -> Priors:
         image = image[first]
         if len(image):
             covariance = np.array(database.position_covariance[image])
+            # receivers that know nothing of their accuracy leave zeros
             unknown = ~np.isfinite(covariance).all(axis=(1, 2))
+            unknown |= np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0] <= 0.0
             covariance[unknown] = np.eye(3) * options.prior_position_sigma**2
             positions = PositionPriors.of(frame, known[image], covariance=covariance)
     if options.use_gravity:
@@ -228,9 +233,8 @@ def _priors(database: Database, options: MapOptions) -> Priors:
     return Priors(positions=positions, directions=directions)
 
 
-def _orient(views: _Views, matches: _Matches, priors: Priors, options: MapOptions) -> ViewOrientations:
+def _orient(n_views: int, views: _Views, matches: _Matches, priors: Priors, options: MapOptions) -> ViewOrientations:
     """Relative poses of the views that share most, averaged."""
-    n_views = int(views.view.max(initial=-1)) + 1
     ends = views.view[matches.feature]
     # a match within one frame tells of no motion; the smaller view comes first
     swap = ends[:, 0] > ends[:, 1]
@@ -335,9 +339,10 @@ def _agree_with_poses(views: _Views, matches: _Matches, scene: Scene, options: M
         off_plane_a = np.abs(np.einsum("ni,ni->n", other, ray_a)) / np.linalg.norm(other, axis=1)
         limit = options.max_epipolar_error_px * np.maximum(views.pixel_rad[first], views.pixel_rad[second])
         near = np.minimum(off_plane_a, off_plane_b) < limit
-        # the rays turn towards each other, unless they are parallel within the limit
+        # the rays turn towards each other, unless they are parallel within the limit: neither meets the other behind
         across = np.cross(ray_a, ray_b)
         meets = np.einsum("ni,ni->n", normal, across) > -limit * length
+        meets &= np.einsum("ni,ni->n", other, across) > -limit * np.linalg.norm(other, axis=1)
     return np.asarray(known & near & meets)
 
 
@@ -375,12 +380,15 @@ def _second_pass(  # noqa: PLR0917
     database: Database,
     views: _Views,
     matches: _Matches,
-    scene: Scene,
+    first: tuple[FeatureTracks, Scene],
     refinement: RefineOptions,
     options: MapOptions,
-) -> tuple[FeatureTracks, Tracks, Rig | None, Scene]:
+) -> tuple[FeatureTracks, Scene]:
     """Join what agrees with the refined poses, intersect all points anew and refine again."""
+    scene = first[1]
     features = _join(database, matches.select(_agree_with_poses(views, matches, scene, options)), options)
+    if not len(features):
+        return first  # views that only turned: no poses to agree with
     tracks, rig = _tracks(database, views, features, options)
     start = replace(
         scene,
@@ -391,7 +399,7 @@ def _second_pass(  # noqa: PLR0917
         tracks=tracks,
         track_names=None,
     )
-    return features, tracks, rig, refine(tracks, start, refinement, rig)
+    return features, refine(tracks, start, refinement, rig)
 
 
 def _reconstruction(database: Database, features: FeatureTracks, scene: Scene) -> Reconstruction:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from panopath.evaluate import fit_similarity
 from panopath.model import (
     Bool,
     Control,
@@ -41,6 +40,7 @@ from panopath.steps import (
     view_pairs,
 )
 from panopath.steps.positions import control_rows
+from panopath.steps.refinement import prior_columns, rig_columns
 
 #: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
 _LEAST_EDGE_SIGMA_RAD = 1e-4
@@ -108,6 +108,7 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
         Naming the argument that cannot be used.
     """
     chosen = ReconstructOptions() if options is None else options
+    _check_given(tracks, priors, chosen, rig)
     known = _with_gravity(Priors() if priors is None else priors, gravity, tracks)
     if orientations is None:
         oriented = orient_views(tracks, known, chosen)
@@ -117,7 +118,34 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
     start = place_views(tracks, oriented, chosen.positions)
     if rig is not None and known.positions is None:
         start = metric_scale(tracks, start, rig)
-    return refine(tracks, start, replace(chosen.refine, priors=known), rig)
+    return _forgotten(refine(tracks, start, replace(chosen.refine, priors=known), rig), oriented)
+
+
+def _check_given(tracks: Tracks, priors: Priors | None, options: ReconstructOptions, rig: Rig | None) -> None:
+    """Complain before the long work, not after it."""
+    wanted: tuple[tuple[str, object, type], ...] = (
+        ("tracks", tracks, Tracks),
+        ("priors", Priors() if priors is None else priors, Priors),
+        ("options", options, ReconstructOptions),
+    )
+    for name, value, kind in wanted:
+        if not isinstance(value, kind):
+            raise InputError(f"{name} is a {type(value).__name__}, expected {kind.__name__}")
+    if options.positions.gauge != "normalized":
+        raise InputError(
+            f"options.positions.gauge is {options.positions.gauge!r}, expected 'normalized': a refinement follows, "
+            "which keeps no other (see fit_to_control for known positions)"
+        )
+    if rig is not None:
+        if not isinstance(rig, Rig):
+            raise InputError(f"rig is a {type(rig).__name__}, expected Rig")
+        rig_columns(rig, tracks)
+    for name, columns in prior_columns(Priors() if priors is None else priors, tracks.d).items():
+        ids, values = columns[0], columns[1]
+        if name == "rotation_priors" and (values.ndim == 1) != (tracks.d == 2):
+            raise InputError(f"{name} have shape {values.shape}, but the bearings have {tracks.d} coordinates")
+        if len(ids) and ids.max() >= tracks.n_views:
+            raise InputError(f"{name}: entry {int(ids.argmax())} names view {ids.max()} of {tracks.n_views}")
 
 
 def orient_views(
@@ -201,8 +229,33 @@ def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> S
         inlier=inlier,
         residual_rad=residual,
         cam_from_world=np.where(turned, second.cam_from_world, base.cam_from_world),
-        summary=second.summary if first is None else base.summary,
+        summary=second.summary if first is None else _summary_of_both(base.summary, second.summary),
     )
+
+
+def _summary_of_both(first: Summary, second: Summary) -> Summary:
+    """Summary of two parts that share no observation; the noise is that of the part that used more of them."""
+    counted = {
+        name: getattr(first, name) + getattr(second, name)
+        for name in ("n_inliers", "n_solved_views", "n_solved_points", "n_components", "iterations")
+    }
+    solved = [s for s in (first, second) if s.n_components]
+    if any(s.status is Status.AMBIGUOUS for s in solved):
+        status = Status.AMBIGUOUS
+    elif len(solved) == 2:
+        status = Status.DISCONNECTED
+    else:
+        status = (solved or [first])[0].status
+    main = max(first, second, key=lambda s: s.n_inliers)
+    return replace(first, status=status, sigma_rad=main.sigma_rad, **counted)
+
+
+def _forgotten(scene: Scene, oriented: ViewOrientations) -> Scene:
+    """Say nothing of how views are turned that could not be oriented: steps had a stand-in for them."""
+    unknown = (oriented.view_component < 0) & (scene.view_component < 0)
+    rotation = np.array(scene.cam_from_world)
+    rotation[unknown] = np.nan
+    return replace(scene, cam_from_world=rotation)
 
 
 def _nothing(tracks: Tracks, cam_from_world: Float) -> Scene:
@@ -229,13 +282,38 @@ _GRAVITY_SIGMA_RAD = float(np.radians(0.5))
 def _with_gravity(priors: Priors, gravity: npt.ArrayLike | None, tracks: Tracks) -> Priors:
     if gravity is None:
         return priors
-    up = np.asarray(gravity, dtype=np.float64)
+    try:
+        up = np.asarray(gravity, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("gravity does not hold numbers") from None
     if tracks.d != 3 or up.shape != (tracks.n_views, 3):
         raise InputError(f"gravity has shape {up.shape}, expected ({tracks.n_views}, 3) for views in space")
     if priors.directions is not None:
         raise InputError("gravity and priors.directions are both given, expected one of them")
     known = np.flatnonzero(np.isfinite(up).all(axis=1))
+    length = np.linalg.norm(up[known], axis=1, keepdims=True)
+    if not length.all():
+        raise InputError(f"gravity[{known[int(np.argmin(length))]}] has length 0, expected a direction")
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
     return replace(priors, directions=DirectionPriors.gravity(known, up[known], _GRAVITY_SIGMA_RAD))
+
+
+#: What the present turn of a scene weighs against one kind of prior: it decides where they leave a turn free.
+_PRESENT_TURN = 1e-6
+
+
+def _turn_by(evidence: Float) -> Float:
+    """Rotation that maximises ``trace(R^T evidence)``; what that leaves free stays as it is."""
+    left, _, right = np.linalg.svd(evidence + _PRESENT_TURN * np.eye(len(evidence)))
+    left[:, -1] *= np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ right)
+
+
+def _correlation(source: Float, target: Float) -> Float:
+    """Sum of ``(target - mean) (source - mean)^T``, both brought to length one; zero where one is a single place."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    length = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return np.asarray(b.T @ a / length) if length > 0.0 else np.zeros((source.shape[1], source.shape[1]))
 
 
 #: Sizes of the scene that are tried, against that of the rig: factors of two.
@@ -245,7 +323,7 @@ _ENOUGH_OBSERVATIONS = 20_000
 
 
 def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
-    """Bring a scene of unknown size near the size at which the rig's own baselines fit best.
+    """Bring each component of unknown size near the size at which the rig's own baselines fit best.
 
     Cameras are held and points intersected anew at sizes a factor of two apart; a refinement finds the rest.
 
@@ -256,30 +334,45 @@ def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
     scene
         Right but for its size.
     """
-    placed = scene.centers[scene.view_component == 0]
-    if not len(placed):
-        return scene
-    extent = np.linalg.norm(placed - placed.mean(axis=0), axis=1).max()
     arm = np.linalg.norm(rig.center - rig.center.mean(axis=0), axis=1).max()
-    if not (extent > 0.0 and arm > 0.0):
+    extent = np.array([_extent(scene.centers[scene.view_component == part]) for part in range(scene.n_components)])
+    if not (arm > 0.0 and extent.any()):
         return scene
     options = RefineOptions(hold_rotations=True, hold_centers=True, reject_outliers=False, max_iterations=8)
     some = tracks.track % (1 + len(tracks) // _ENOUGH_OBSERVATIONS) == 0
     sample = tracks.select(some)
     sensors = replace(rig, sensor=rig.sensor[some])
     trial = replace(scene, tracks=None, inlier=scene.inlier[some], residual_rad=scene.residual_rad[some])
-    factors = _SIZES * arm / extent
-    misfit = []
-    for factor in factors:
-        scaled = replace(trial, centers=factor * scene.centers, points=factor * scene.points)
-        residual = refine(sample, scaled, options, sensors).residual_rad
-        misfit.append(float(np.nanmean(np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2)))
-    best = factors[int(np.argmin(misfit))]
-    return replace(scene, centers=best * scene.centers, points=best * scene.points)
+    unit = np.where(extent > 0.0, arm / np.maximum(extent, np.finfo(float).tiny), 1.0)
+    owner = scene.view_component[sample.view]
+    misfit = np.full((len(_SIZES), len(unit)), np.inf)
+    for size, row in zip(_SIZES, misfit, strict=True):
+        residual = refine(sample, _sized(trial, size * unit), options, sensors).residual_rad
+        squared = np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2
+        for part in range(len(unit)):
+            counted = (owner == part) & np.isfinite(squared)
+            row[part] = squared[counted].mean() if counted.any() else np.inf
+    best = np.where(extent > 0.0, _SIZES[misfit.argmin(axis=0)] * unit, 1.0)
+    return _sized(scene, best)
+
+
+def _extent(centers: Float) -> float:
+    """Largest distance from the mean."""
+    return float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) if len(centers) else 0.0
+
+
+def _sized(scene: Scene, factor: Float) -> Scene:
+    """Scale each component by its own factor."""
+    of_view = np.append(factor, 1.0)[scene.view_component]
+    of_track = np.append(factor, 1.0)[scene.track_component]
+    return replace(scene, centers=of_view[:, None] * scene.centers, points=of_track[:, None] * scene.points)
 
 
 def fit_to_control(scene: Scene, control: Control) -> Scene:
-    """Turn, shift and scale each component to known positions, by least squares.
+    """Shift, scale and (where ``control.rotation``) turn each component to known positions, by least squares.
+
+    Positions on a line leave a turn about it free, which then stays as it was. Components with fewer than two known
+    positions stay where they are.
 
     Raises
     ------
@@ -301,7 +394,7 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
         if given.sum() < 2:
             continue
         known = True
-        scale, turn, shift = fit_similarity(found[given], truth[given])
+        scale, turn, shift = _similarity(found[given], truth[given], turns=control.rotation)
         center[in_views] = scale * scene.centers[in_views] @ turn.T + shift
         point[in_points] = scale * scene.points[in_points] @ turn.T + shift
         if scene.d == 2:
@@ -313,3 +406,16 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
             "control: fewer than two of the known positions belong to one solved part, expected at least two"
         )
     return replace(scene, centers=center, points=point, cam_from_world=rotation)
+
+
+def _similarity(source: Float, target: Float, *, turns: bool) -> tuple[float, Float, Float]:
+    """Scale, rotation and shift of the best ``target = scale * rotation @ source + shift`` (Umeyama 1991)."""
+    correlation = _correlation(source, target)
+    turn = _turn_by(correlation) if turns and correlation.any() else np.eye(source.shape[1])
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    scale = 1.0
+    if correlation.any():
+        # a negative scale would turn the scene inside out
+        gain = max(float(np.sum(turn * correlation)), 0.0)
+        scale = gain * float(np.linalg.norm(b) / np.linalg.norm(a))
+    return scale, turn, target.mean(axis=0) - scale * turn @ source.mean(axis=0)
