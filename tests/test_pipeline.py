@@ -176,21 +176,22 @@ def test_positions_on_a_line_and_gravity() -> None:
 
 
 def test_a_refinement_turns_its_start_to_the_priors_and_leaves_what_is_free() -> None:
-    seen = world(outlier_fraction=0.0, noise_rad=0.0)
-    scene = pp.solve_positions(seen.tracks, seen.cam_from_world)
+    seen = world(outlier_fraction=0.0)
+    scene = pp.refine(seen.tracks, pp.solve_positions(seen.tracks, seen.cam_from_world))
     turn = exp(np.array([[0.3, -2.0, 1.0]]))[0]
     turned = replace(scene, centers=scene.centers @ turn.T, cam_from_world=scene.cam_from_world @ turn.T)
     turned = replace(turned, points=scene.points @ turn.T)
     every = np.arange(N_VIEWS)
-    whole = Priors(rotations=RotationPriors.of(every, seen.cam_from_world, sigma_rad=1.0))
-    places = Priors(positions=PositionPriors.of(every, seen.centers, sigma=1.0))
+    whole = Priors(rotations=RotationPriors.of(every, seen.cam_from_world, sigma_rad=0.01))
+    places = Priors(positions=PositionPriors.of(every, seen.centers, sigma=0.1))
     for priors in (whole, places, Priors(rotations=whole.rotations, positions=places.positions)):
         back = pp.refine(seen.tracks, turned, pp.RefineOptions(priors=priors))
-        np.testing.assert_allclose(back.cam_from_world, seen.cam_from_world, atol=1e-5)
-        assert back.summary.iterations <= 3
+        np.testing.assert_allclose(back.cam_from_world, seen.cam_from_world, atol=5e-3)
+        assert back.summary.status is pp.Status.CONVERGED
+        assert back.summary.iterations <= 6
     up = DirectionPriors.gravity(every, seen.cam_from_world[:, :, 2], 0.01)
     level = pp.refine(seen.tracks, scene, pp.RefineOptions(priors=Priors(directions=up)))
-    np.testing.assert_allclose(level.cam_from_world, scene.cam_from_world, atol=1e-6)
+    np.testing.assert_allclose(level.cam_from_world, scene.cam_from_world, atol=2e-3)
 
 
 # rigs
@@ -456,7 +457,7 @@ def seen_twice() -> pp.SyntheticWorld:
         ),
         (
             {"priors": Priors(rotations=RotationPriors.of([1], [0.5], sigma_rad=1.0))},
-            r"rotation_priors have shape \(1,\)",
+            "rotation_priors have 2 coordinates",
         ),
         ({"priors": Priors(positions=PositionPriors.of([0, 1], np.eye(2), sigma=1.0))}, "2 coordinates"),
         ({"priors": [1.0]}, "priors is a list, expected Priors"),

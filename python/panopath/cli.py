@@ -34,7 +34,7 @@ from panopath.formats import (
     write_tracks,
 )
 from panopath.formats.csv import Form, read_vectors, write_orientations
-from panopath.formats.folder import check_writable
+from panopath.formats.folder import check_writable, is_scene_folder
 from panopath.formats.models import check_model_folder
 from panopath.formats.parquet import write_parquet
 from panopath.formats.structure import known_scene
@@ -255,7 +255,10 @@ def _reconstruct(problem: Problem, options: PositionOptions, gravity: Path | Non
         rotations = np.zeros(tracks.n_views) if tracks.d == 2 else np.tile(np.eye(3), (tracks.n_views, 1, 1))
     plain = replace(options, gauge="normalized" if options.gauge == "control" else options.gauge, control=None)
     steps = ReconstructOptions(
-        positions=plain, refine=RefineOptions(linear_solver=options.linear_solver, threads=options.threads)
+        positions=plain,
+        refine=RefineOptions(
+            max_iterations=options.max_iterations, linear_solver=options.linear_solver, threads=options.threads
+        ),
     )
     up = None if gravity is None else read_vectors(gravity, tracks)
     scene = reconstruct_tracks(tracks, rotations, gravity=up, options=steps)
@@ -401,7 +404,7 @@ def simulate_command(
 
 @app.command("evaluate", epilog=_EXIT_HELP)
 def evaluate_command(
-    out: Annotated[Path, typer.Argument(help="Folder that panopath solve wrote.")],
+    out: Annotated[Path, typer.Argument(help="Folder that panopath solve wrote, or a COLMAP model.")],
     truth: Annotated[
         Path,
         typer.Argument(help="Truth: a panopath folder, COLMAP model, BAL file, or CSV view,x,y[,z] | track,x,y[,z]."),
@@ -414,9 +417,17 @@ def evaluate_command(
 ) -> None:
     """Compare a scene with the truth, in the units of the truth."""
     terminal = _Terminal(as_json, quiet)
-    scene = read_scene(out)
+    scene = read_scene(out) if is_scene_folder(out) else _scene_of_model(out)
     result = evaluate(scene, read_truth(truth, scene), alignment, trim)
     terminal.answer(result.to_dict(), lambda console: _show_evaluation(console, result))
+
+
+def _scene_of_model(folder: Path) -> Scene:
+    """Read the scene of a COLMAP model, as `panopath map` writes it."""
+    scene = read_problem(folder).scene if folder.is_dir() else None
+    if scene is None:
+        raise InputError(f"{folder}: expected a folder that panopath wrote, or a COLMAP model")
+    return scene
 
 
 @app.command(epilog=_EXIT_HELP)

@@ -286,6 +286,17 @@ def _rank(source: Float, target: Float) -> int:
     return min(ranks)
 
 
+def fit_similarity(source: Float, target: Float) -> tuple[float, Float, Float]:
+    """Scale, rotation (d, d) and shift of the best ``target = scale * rotation @ source + shift``, never a reflection.
+
+    Parameters
+    ----------
+    source, target
+        (n, d) positions.
+    """
+    return _fit(source, target, "similarity")
+
+
 def _fit(source: Float, target: Float, alignment: str) -> tuple[float, Float, Float]:
     """Least squares scale, rotation and shift (Umeyama 1991); without rotation for ``translation_scale``."""
     d = source.shape[1]

@@ -106,7 +106,8 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
     found
         What was found.
     folder
-        Where to write; models that are there already are replaced, other files stay.
+        Where to write; models in numbered folders are replaced, those of more components than now removed; other
+        files stay.
 
     Returns
     -------
@@ -133,7 +134,18 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
         path = Path(folder) / str(place)
         _write_part(database, found, path, images, rows, error_px=error_px)
         written.append(path)
+    _remove_models_beyond(Path(folder), len(written))
     return written
+
+
+def _remove_models_beyond(folder: Path, n_written: int) -> None:
+    """Take away models of an earlier run with more components, and no file but theirs."""
+    for path in folder.glob("*"):
+        if path.is_dir() and path.name.isdecimal() and int(path.name) >= n_written:
+            for name in ("cameras", "images", "points3D", "rigs", "frames"):
+                (path / f"{name}.bin").unlink(missing_ok=True)
+            if not any(path.iterdir()):
+                path.rmdir()
 
 
 def check_model_folder(folder: str | PathLike[str], overwrite: bool = False) -> None:
