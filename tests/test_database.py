@@ -14,6 +14,7 @@ import numpy as np
 import panopath as pp
 import pycolmap
 import pytest
+from panopath.formats import models
 
 MODELS: dict[str, list[float]] = {
     "PINHOLE": [800.0, 810.0, 512.0, 384.0],
@@ -590,12 +591,10 @@ def test_without_pycolmap(made: tuple[Path, Any], monkeypatch: pytest.MonkeyPatc
 
 
 def test_models_of_an_earlier_run_with_more_components_go(tmp_path: Path) -> None:
-    from panopath.formats.models import _remove_models_beyond
-
     for name in ("0", "1", "2", "notes"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "images.bin").write_bytes(b"x")
     (tmp_path / "2" / "mine.txt").write_text("kept", encoding="utf-8")
-    _remove_models_beyond(tmp_path, 1)
+    models._remove_models_beyond(tmp_path, 1)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     assert left == ["0/images.bin", "2/mine.txt", "notes/images.bin"]
