@@ -42,6 +42,16 @@ __all__ = [
 
 __version__: str
 
+_Observations = tuple[
+    npt.NDArray[np.int32],
+    npt.NDArray[np.int32],
+    npt.NDArray[np.float64],
+    int,
+    int,
+    npt.NDArray[np.float64] | None,
+]
+_Start = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]]
+
 def average_rotations(
     first: npt.NDArray[np.int32],
     second: npt.NDArray[np.int32],
@@ -52,58 +62,34 @@ def average_rotations(
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 def solve_positions(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
-    sigma_rad: npt.NDArray[np.float64] | None,
+    observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,
     options: Mapping[str, Any],
     start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
 ) -> dict[str, Any]: ...
 def refine(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
-    sigma_rad: npt.NDArray[np.float64] | None,
+    observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,
-    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    start: _Start,
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 def view_pairs(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
+    observations: _Observations,
     min_shared: int,
     max_partners: int,
     max_matches: int,
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.int32]]: ...
 def scene_covariance(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
-    sigma_rad: npt.NDArray[np.float64] | None,
+    observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,
-    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]],
+    start: _Start,
     inlier: npt.NDArray[np.bool_] | None,
     reference: int | None,
     sigma: float,
     options: Mapping[str, Any],
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
 def position_covariance(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
-    sigma_rad: npt.NDArray[np.float64] | None,
+    observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,
     centers: npt.NDArray[np.float64],
     points: npt.NDArray[np.float64],
@@ -125,19 +111,11 @@ def tracks_from_matches(
     min_linkage: float,
 ) -> dict[str, Any]: ...
 def mean_motion(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
+    observations: _Observations,
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 def fit_rotations(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
+    observations: _Observations,
     centers: npt.NDArray[np.float64],
     points: npt.NDArray[np.float64],
     cam_from_world: npt.NDArray[np.float64],
@@ -145,12 +123,7 @@ def fit_rotations(
     share: float,
 ) -> npt.NDArray[np.float64]: ...
 def start_headings(
-    view: npt.NDArray[np.int32],
-    track: npt.NDArray[np.int32],
-    bearing: npt.NDArray[np.float64],
-    n_views: int,
-    n_tracks: int,
-    sigma_rad: npt.NDArray[np.float64] | None,
+    observations: _Observations,
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 

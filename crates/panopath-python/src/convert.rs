@@ -91,7 +91,24 @@ pub struct Input<'py> {
     pub cam_from_world: Option<Bound<'py, PyAny>>,
 }
 
-impl Input<'_> {
+/// Observations as `panopath.steps.common.observations_of` gives them: view, track, bearing, numbers of views and tracks,
+/// sigma_rad.
+pub type Observations<'py> = (
+    PyReadonlyArray1<'py, i32>,
+    PyReadonlyArray1<'py, i32>,
+    PyReadonlyArray2<'py, f64>,
+    usize,
+    usize,
+    Option<PyReadonlyArray1<'py, f64>>,
+);
+
+impl<'py> Input<'py> {
+    /// Observations, with the orientations of the views where there are any.
+    pub fn new(observations: Observations<'py>, cam_from_world: Option<Bound<'py, PyAny>>) -> Self {
+        let (view, track, bearing, n_views, n_tracks, sigma_rad) = observations;
+        Self { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world }
+    }
+
     /// 2 or 3, from the bearings.
     pub fn dimension(&self) -> PyResult<usize> {
         match self.bearing.as_array().ncols() {

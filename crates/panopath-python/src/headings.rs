@@ -1,28 +1,21 @@
 //! `start_headings`: flat arrays in, a dict of arrays out.
 
-use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::IntoPyArray;
 use panopath::headings::{HeadingOptions, start_headings as solve};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::convert::Input;
-use crate::convert::value_error;
+use crate::convert::{Input, Observations, value_error};
 
 /// Headings of planar views (`panopath.steps.find_headings` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn start_headings<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    observations: Observations<'py>,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world: None };
+    let input = Input::new(observations, None);
     let (tracks, options) = (input.tracks::<2>()?, read_options(options)?);
     let found = py.detach(|| solve(&tracks, &options)).map_err(value_error)?;
     let dict = PyDict::new(py);

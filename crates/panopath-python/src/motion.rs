@@ -10,22 +10,16 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::convert::{FromHeadingOrMatrix, Input, choose};
-use crate::convert::{heading, value_error, vectors};
+use crate::convert::{FromHeadingOrMatrix, Input, Observations, choose, heading, value_error, vectors};
 
 /// Orientations from the mean motion (`panopath.steps.mean_motion` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn mean_motion<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
+    observations: Observations<'py>,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad: None, cam_from_world: None };
+    let input = Input::new(observations, None);
     let parsed = read_options(options)?;
     match input.dimension()? {
         2 => to_dict(py, solved(py, &input.tracks::<2>()?, &parsed)?, headings),
@@ -74,14 +68,9 @@ fn to_dict<'py, const D: usize>(
 
 /// Orientations from known centres and points (`panopath.steps.fit_rotations` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn fit_rotations<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
+    observations: Observations<'py>,
     centers: PyReadonlyArray2<'py, f64>,
     points: PyReadonlyArray2<'py, f64>,
     cam_from_world: Bound<'py, PyAny>,
@@ -90,7 +79,7 @@ fn fit_rotations<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let weighting = read_weighting(weighting, share)?;
     let cam_from_world = Some(cam_from_world);
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad: None, cam_from_world };
+    let input = Input::new(observations, cam_from_world);
     match input.dimension()? {
         2 => fit_in::<2>(py, &input, &centers, &points, weighting, headings),
         _ => fit_in::<3>(py, &input, &centers, &points, weighting, matrices),

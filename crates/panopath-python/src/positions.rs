@@ -12,26 +12,20 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::convert::{FromHeadingOrMatrix, Input, choose, fill, on_threads, value_error, vectors};
+use crate::convert::{FromHeadingOrMatrix, Input, Observations, choose, fill, on_threads, value_error, vectors};
 
 type Start<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>);
 
 /// Solves for positions (`panopath.steps.solve_positions` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn solve_positions<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    observations: Observations<'py>,
     cam_from_world: Option<Bound<'py, PyAny>>,
     options: &Bound<'py, PyDict>,
     start: Option<Start<'py>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world };
+    let input = Input::new(observations, cam_from_world);
     match input.dimension()? {
         2 => solve_in::<2>(py, &input, options, start),
         _ => solve_in::<3>(py, &input, options, start),
@@ -57,21 +51,15 @@ where
 
 /// Covariance of the centres (`panopath.steps.position_covariance` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn position_covariance<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    observations: Observations<'py>,
     cam_from_world: Option<Bound<'py, PyAny>>,
     centers: PyReadonlyArray2<'py, f64>,
     points: PyReadonlyArray2<'py, f64>,
     inlier: Option<PyReadonlyArray1<'py, bool>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world };
+    let input = Input::new(observations, cam_from_world);
     match input.dimension()? {
         2 => covariance_in::<2>(py, &input, centers, points, inlier),
         _ => covariance_in::<3>(py, &input, centers, points, inlier),

@@ -13,7 +13,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::convert::{FromHeadingOrMatrix, Input, choose, fill, on_threads, value_error, vectors};
+use crate::convert::{FromHeadingOrMatrix, Input, Observations, choose, fill, on_threads, value_error, vectors};
 
 /// Where a refinement starts: centres, points, and the component of each view and track.
 type Start<'py> =
@@ -21,20 +21,14 @@ type Start<'py> =
 
 /// Refines orientations, centres and points (`panopath.steps.refine` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn refine<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    observations: Observations<'py>,
     cam_from_world: Option<Bound<'py, PyAny>>,
     start: Start<'py>,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world };
+    let input = Input::new(observations, cam_from_world);
     match input.dimension()? {
         2 => refine_in::<2, 3>(py, &input, &start, options),
         _ => refine_in::<3, 6>(py, &input, &start, options),
@@ -62,12 +56,7 @@ where
 #[allow(clippy::too_many_arguments)]
 fn scene_covariance<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
-    sigma_rad: Option<PyReadonlyArray1<'py, f64>>,
+    observations: Observations<'py>,
     cam_from_world: Option<Bound<'py, PyAny>>,
     start: Start<'py>,
     inlier: Option<PyReadonlyArray1<'py, bool>>,
@@ -75,7 +64,7 @@ fn scene_covariance<'py>(
     sigma: f64,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Blocks<'py>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad, cam_from_world };
+    let input = Input::new(observations, cam_from_world);
     let keep = inlier.map(|k| k.as_array().to_vec()).unwrap_or_default();
     let gauge = reference.map_or(CovarianceGauge::Cameras, CovarianceGauge::View);
     match input.dimension()? {

@@ -1,29 +1,24 @@
 //! `view_pairs`: which pairs of views to orient against each other.
 
 use numpy::ndarray::Array2;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2};
 use panopath::view_graph::{ViewGraphOptions, view_pairs as pairs_of};
 use pyo3::prelude::*;
 
-use crate::convert::Input;
+use crate::convert::{Input, Observations};
 
 type Pairs<'py> = (Bound<'py, PyArray2<i32>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<i32>>);
 
 /// Pairs of views with their matches (`panopath.steps.view_graph` describes the arguments).
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn view_pairs<'py>(
     py: Python<'py>,
-    view: PyReadonlyArray1<'py, i32>,
-    track: PyReadonlyArray1<'py, i32>,
-    bearing: PyReadonlyArray2<'py, f64>,
-    n_views: usize,
-    n_tracks: usize,
+    observations: Observations<'py>,
     min_shared: usize,
     max_partners: usize,
     max_matches: usize,
 ) -> PyResult<Pairs<'py>> {
-    let input = Input { view, track, bearing, n_views, n_tracks, sigma_rad: None, cam_from_world: None };
+    let input = Input::new(observations, None);
     let tracks = input.tracks::<3>()?;
     let options = ViewGraphOptions { min_shared, max_partners, max_matches };
     let found = py.detach(|| pairs_of(&tracks, &options));

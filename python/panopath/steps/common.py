@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Tracks, check_orientations
+from panopath.model import Float, InputError, Int, Tracks, check_orientations
+
+#: View, track and bearing of each observation, numbers of views and tracks, sigma_rad.
+Observations = tuple[Int, Int, Float, int, int, Float | None]
 
 
 def call_core(function: Any, *arguments: Any) -> Any:
@@ -17,6 +20,11 @@ def call_core(function: Any, *arguments: Any) -> Any:
         raise
     except ValueError as error:
         raise InputError(str(error)) from None
+
+
+def observations_of(tracks: Tracks) -> Observations:
+    """Observations in the form in which the core takes them."""
+    return tracks.view, tracks.track, tracks.bearing, tracks.n_views, tracks.n_tracks, tracks.sigma_rad
 
 
 def orientations_of(tracks: Tracks, cam_from_world: npt.ArrayLike | None) -> Float | None:

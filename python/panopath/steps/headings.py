@@ -12,7 +12,7 @@ import numpy as np
 
 from panopath import _core
 from panopath.model import Bool, Float, InputError, Int, Status, Tracks, read_only
-from panopath.steps.common import call_core
+from panopath.steps.common import call_core, observations_of
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,7 @@ def find_headings(tracks: Tracks, options: HeadingOptions | None = None) -> Head
         raise InputError(f"tracks have bearings of {tracks.d} coordinates, expected 2: headings belong to the plane")
     found = call_core(
         _core.start_headings,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
-        tracks.sigma_rad,
+        observations_of(tracks),
         dict(chosen.__dict__),
     )
     return Headings(

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.model import Float, InputError, Int, Scene, Status, Tracks, read_only
-from panopath.steps.common import call_core, orientations_of
+from panopath.steps.common import call_core, observations_of, orientations_of
 
 Flow = Literal["sphere", "horizon"]
 Weighting = Literal["robust", "mean", "slowest"]
@@ -133,11 +133,7 @@ def mean_motion(tracks: Tracks, options: MotionOptions | None = None) -> Motion:
         raise InputError(f"options is a {type(chosen).__name__}, expected MotionOptions")
     found = call_core(
         _core.mean_motion,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
+        observations_of(tracks),
         _core_options(chosen, tracks),
     )
     return _motion(found)
@@ -183,11 +179,7 @@ def fit_rotations(
         raise InputError("cam_from_world is None, expected the orientations so far")
     found = call_core(
         _core.fit_rotations,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
+        observations_of(tracks),
         centers,
         points,
         orientations,

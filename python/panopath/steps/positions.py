@@ -22,7 +22,7 @@ from panopath.model import (
     Tracks,
     read_only,
 )
-from panopath.steps.common import call_core, orientations_of
+from panopath.steps.common import call_core, observations_of, orientations_of
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -65,12 +65,7 @@ def solve_positions(
     orientations = orientations_of(tracks, cam_from_world)
     found = call_core(
         _core.solve_positions,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
-        tracks.sigma_rad,
+        observations_of(tracks),
         orientations,
         _core_options(chosen, tracks),
         None if start is None else _start(start, tracks),
@@ -118,12 +113,7 @@ def position_covariance(
             raise InputError(f"inlier has type {mask.dtype} and shape {mask.shape}, expected bool {tracks.view.shape}")
     covariance = call_core(
         _core.position_covariance,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
-        tracks.sigma_rad,
+        observations_of(tracks),
         orientations_of(tracks, cam_from_world),
         centers,
         points,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from panopath import _core
 from panopath.model import Bool, Float, InputError, LinearSolver, Scene, Tracks, read_only
 from panopath.priors import Priors, Rig, RotationPriors
-from panopath.steps.common import call_core
+from panopath.steps.common import call_core, observations_of
 from panopath.steps.positions import scene_of
 
 
@@ -88,12 +88,7 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
     check_scene(scene, tracks)
     found = call_core(
         _core.refine,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
-        tracks.sigma_rad,
+        observations_of(tracks),
         scene.cam_from_world,
         (scene.centers, scene.points, scene.view_component, scene.track_component),
         _core_options(chosen, tracks, rig, scene.cam_from_world),
@@ -160,12 +155,7 @@ def scene_covariance(  # noqa: PLR0917 (the public names and their order are fix
         raise InputError(f"sigma_rad is {sigma}, expected a positive number")
     cameras, points = call_core(
         _core.scene_covariance,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
-        tracks.sigma_rad,
+        observations_of(tracks),
         scene.cam_from_world,
         (scene.centers, scene.points, scene.view_component, scene.track_component),
         scene.inlier,

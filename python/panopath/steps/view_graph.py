@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.model import InputError, Int, Tracks, read_only
-from panopath.steps.common import call_core
+from panopath.steps.common import call_core, observations_of
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,7 @@ def view_pairs(tracks: Tracks, options: ViewGraphOptions | None = None) -> ViewP
         raise InputError("tracks are planar, where two views tell nothing of each other, expected d = 3")
     pair, start, observation = call_core(
         _core.view_pairs,
-        tracks.view,
-        tracks.track,
-        tracks.bearing,
-        tracks.n_views,
-        tracks.n_tracks,
+        observations_of(tracks),
         chosen.min_shared,
         chosen.max_partners,
         chosen.max_matches,
