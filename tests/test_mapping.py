@@ -23,6 +23,7 @@ from panopath.mapping import MapOptions, MappedDatabase, map_database  # noqa: E
 from panopath.model import Float  # noqa: E402
 
 from benchmarks.databases import Score, Spec, Truth, make_database, score_models  # noqa: E402
+from benchmarks.mapping import HEADER, Row, lines, means, run_ours  # noqa: E402
 
 DEG = np.pi / 180.0
 N = 24
@@ -403,3 +404,20 @@ def test_guessed_focal_lengths_are_refused(
     assert "focal length" in said
     code, _ = run(capsys, str(copy), "-o", str(tmp_path / "out"), "--trust-focal-lengths", "--quiet")
     assert code == 0
+
+
+# the benchmark
+
+
+def test_the_benchmark_prints_both_mappers(made: dict[str, tuple[Path, Truth]], tmp_path: Path) -> None:
+    path, truth = made["panoramas"]
+    assert run_ours(path, tmp_path / "out")["seconds"] > 0.0
+    assert "no such file" in run_ours(tmp_path / "none.db", tmp_path / "out")["error"]
+    found = score_models(tmp_path / "out", truth)
+    row = Row("case", 0, "sizes", found, found, 2.0, 5.0)
+    assert (row.speedup, row.error_ratio) == (2.5, 1.0)
+    assert [len(line) for line in lines(row)] == [len(HEADER)] * 2
+    lost = Row("case", 1, "sizes", found, None, 2.0, float("nan"), "peer: stopped")
+    assert "no answer (peer: stopped)" in list(lines(lost))[1]
+    assert means([row, lost]).startswith("1 worlds: rms")
+    assert means([lost]) == "no world that both mapped"

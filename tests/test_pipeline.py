@@ -175,6 +175,24 @@ def test_positions_on_a_line_and_gravity() -> None:
     assert np.linalg.norm(off, axis=(1, 2)).max() / np.sqrt(2.0) < 0.5 * DEG
 
 
+def test_priors_of_nothing_and_of_views_that_are_lost() -> None:
+    seen = world()
+    none = np.zeros(0, dtype=int)
+    empty = Priors(
+        rotations=RotationPriors.of(none, np.zeros((0, 3, 3)), sigma_rad=0.1),
+        positions=PositionPriors.of(none, np.zeros((0, 3)), sigma=0.1),
+    )
+    free = reconstruct_tracks(seen.tracks)
+    np.testing.assert_array_equal(reconstruct_tracks(seen.tracks, priors=empty).centers, free.centers)
+    lost = Priors(
+        rotations=RotationPriors.of([5], seen.cam_from_world[5:6], sigma_rad=0.1),
+        positions=PositionPriors.of([5], seen.centers[5:6], sigma=0.1),
+    )
+    scene = reconstruct_tracks(seen.tracks.select(seen.tracks.view != 5), priors=lost)
+    assert np.flatnonzero(scene.view_component < 0).tolist() == [5]
+    assert camera_rms(scene, seen) < 2.0 * camera_rms(free, seen)
+
+
 def test_a_refinement_turns_its_start_to_the_priors_and_leaves_what_is_free() -> None:
     seen = world(outlier_fraction=0.0)
     scene = pp.refine(seen.tracks, pp.solve_positions(seen.tracks, seen.cam_from_world))

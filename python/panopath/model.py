@@ -517,7 +517,7 @@ def check_orientations(cam_from_world: npt.ArrayLike, n_views: int, d: int) -> F
     if found.shape != shape:
         meaning = "one heading_rad a view" if d == 2 else "one 3 x 3 rotation a view"
         raise InputError(f"cam_from_world has shape {found.shape}, expected {shape}, {meaning}")
-    finite: Bool = np.asarray(np.isfinite(found.reshape(n_views, -1)).all(axis=1))
+    finite: Bool = np.asarray(np.isfinite(found).all(axis=tuple(range(1, found.ndim))))
     if not finite.all():
         raise InputError(f"cam_from_world[{_first(~finite)}] is not finite, expected a rotation")
     if d == 3:

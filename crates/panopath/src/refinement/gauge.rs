@@ -48,14 +48,17 @@ impl<const D: usize> Gauge<D> {
                 None => FreeRotation::All,
             }
         };
-        let n = centers.len() as f64;
-        let centroid = std::array::from_fn(|c| centers.iter().map(|x| x.0[c]).sum::<f64>() / n);
         Self {
             translation: known.is_empty() && !holds_points,
             rotation,
             scale: known.len() < 2 && !holds_points && !has_levers,
-            origin: if known.len() == 1 { known[0] } else { centroid },
+            origin: if known.len() == 1 { known[0] } else { centroid(centers) },
         }
+    }
+
+    /// All freedoms of a similarity, or of a rigid motion where lever arms tell the size.
+    pub fn whole(centers: &[Lanes], has_levers: bool) -> Self {
+        Self { translation: true, rotation: FreeRotation::All, scale: !has_levers, origin: centroid(centers) }
     }
 
     /// Is the component known up to a similarity, and no better?
@@ -127,6 +130,10 @@ impl<const D: usize> Gauge<D> {
         }
         pinned
     }
+}
+
+fn centroid<const D: usize>(centers: &[Lanes]) -> Vector<D> {
+    std::array::from_fn(|c| centers.iter().map(|x| x.0[c]).sum::<f64>() / centers.len() as f64)
 }
 
 /// `axis x arm`; in the plane the turn by `axis[0]`.

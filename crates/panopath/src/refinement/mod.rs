@@ -202,6 +202,8 @@ struct Piece<const D: usize> {
     /// From the frame of the answer to that of the piece; no rotation.
     piece_from_world: Similarity<D>,
     gauge: Gauge<D>,
+    /// What the judgement of what is determined leaves out: how well priors fix a similarity is their own affair.
+    judged_up_to: Gauge<D>,
     huber_sigmas: f64,
 }
 
@@ -249,6 +251,8 @@ impl<const D: usize> Piece<D> {
             .any(|(t, held)| *held && component_of_track[t] == component && known(t));
         let has_levers = stations.lever.iter().any(|a| a.iter().any(|x| *x != 0.0));
         let gauge = Gauge::of(&views, &poses.centers, &options.held, &priors, holds_points, has_levers);
+        let holds = holds_any(&options.held, &views);
+        let judged_up_to = if holds { gauge.clone() } else { Gauge::whole(&poses.centers, has_levers) };
         let free = free_unknowns::<D>(&views, &options.held);
         let known_rows = priors.rows(views.len());
         let wanted = free.iter().zip(&known_rows).map(|(free, known)| free.saturating_sub(*known)).collect();
@@ -282,6 +286,7 @@ impl<const D: usize> Piece<D> {
             held,
             piece_from_world,
             gauge,
+            judged_up_to,
             huber_sigmas,
         }))
     }
@@ -335,7 +340,7 @@ impl<const D: usize> Piece<D> {
             Err(LeastSquaresError::Singular { .. }) => return Ok(true),
             other => other?,
         }
-        let mut basis = self.gauge.basis::<V>(&poses.centers);
+        let mut basis = self.judged_up_to.basis::<V>(&poses.centers);
         for freedom in &mut basis {
             // views that nothing tells of do not move
             freedom.iter_mut().zip(system.diagonal()).filter(|(_, d)| **d <= 0.0).for_each(|(x, _)| *x = 0.0);
