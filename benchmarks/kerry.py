@@ -66,9 +66,7 @@ def _extract(folder: Path, database: Path, names: list[str], model: str, params:
     pycolmap = _pycolmap()
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model, reader.camera_params = model, ",".join(map(str, params))
-    pycolmap.extract_features(
-        database, folder, names, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader
-    )
+    pycolmap.extract_features(database, folder, names, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader)
 
 
 def _match(database: Path) -> None:
@@ -152,7 +150,10 @@ def _angles(model: Any) -> Float:
             point = np.array([model.points3D[p.point3D_id].xyz for p in seen])
             there = (point - image.projection_center()) @ image.cam_from_world().rotation.matrix().T
             there /= np.linalg.norm(there, axis=1, keepdims=True)
-            angles.append(2.0 * np.arcsin(np.minimum(0.5 * distances(ray / np.linalg.norm(ray, axis=1, keepdims=True), there), 1.0)))
+            angles.append(
+                2.0
+                * np.arcsin(np.minimum(0.5 * distances(ray / np.linalg.norm(ray, axis=1, keepdims=True), there), 1.0))
+            )
     return np.concatenate(angles)
 
 
@@ -165,8 +166,8 @@ def frame_of(name: str) -> int:
 def size_and_deviation(database: Path) -> tuple[float, float]:
     """Rms distance of the frames from their middle in metres, and its relative standard deviation.
 
-    The rig's baseline alone knows of metres. The deviation is that of the distance of the farthest frame from the first,
-    to first order, by the covariance with the rig.
+    The rig's baseline alone knows of metres. The deviation is that of the distance of the farthest frame from the
+    first, to first order, by the covariance with the rig.
     """
     read = pp.read_database(database)
     found = map_database(read)

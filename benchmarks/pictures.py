@@ -113,7 +113,7 @@ def walks(path: Path, title: str, centers: dict[str, Float], points: Float, unit
     size = float(np.nanmax(np.abs(first - middle)))
     shown = (points - middle) @ axes_of_path.T
     shown = shown[np.abs(shown).max(axis=1) < 4.0 * size]
-    figure, axes = _figure(2, 12.0, 6.0)
+    figure, axes = _figure(2, 12.0, 6.8)
     for axis, (a, b) in zip(axes, ((0, 1), (0, 2)), strict=True):
         axis.plot(shown[:, a], shown[:, b], ".", color="0.7", markersize=1.5, label="points")
         for (name, walk), marker in zip(centers.items(), "o+x^vs", strict=False):

@@ -426,8 +426,8 @@ def page(sections: dict[str, str]) -> str:
         prose(
             """
             Written by `python -m benchmarks.real_data` (orientations given) and, where a heading says that they are
-            unknown, by `python -m benchmarks.real_orientation`; do not edit. Positions and points are found from bearings
-            alone; errors are what remains after a similarity (shift, rotation, scale) laid over the
+            unknown, by `python -m benchmarks.real_orientation`; do not edit. Positions and points are found from
+            bearings alone; errors are what remains after a similarity (shift, rotation, scale) laid over the
             largest jointly scaled part: over its views and landmarks in the plane, over its views in space, where far
             points have no certain distance. "From truth" is the same refinement started from the true positions: what
             these bearings can give.

@@ -25,6 +25,7 @@ from panopath.model import (
     Tracks,
     check_orientations,
 )
+from panopath.planar import complete_planar
 from panopath.priors import DirectionPriors, Priors, Rig
 from panopath.steps import (
     GravityPriors,
@@ -119,7 +120,10 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
     start = place_views(tracks, oriented, chosen.positions)
     if rig is not None and known.positions is None:
         start = metric_scale(tracks, start, rig)
-    return refine(tracks, start, replace(chosen.refine, priors=known), rig)
+    scene = refine(tracks, start, replace(chosen.refine, priors=known), rig)
+    if tracks.d == 2 and orientations is None and rig is None and known.is_empty:
+        return complete_planar(tracks, scene, chosen.refine)
+    return scene
 
 
 def orient_views(
@@ -193,8 +197,8 @@ _ENOUGH_IN_VIEW = 30
 def _with_parallax(tracks: Tracks, cam_from_world: Float, seen: Bool) -> Bool:
     """Find the observations of tracks whose directions spread by more than noise.
 
-    Points without parallax fit wherever the cameras are. With wrong matches among them they pull views together or let them
-    run away, so a start is sought without them; the refinement that follows has them all.
+    Points without parallax fit wherever the cameras are. With wrong matches among them they pull views together or let
+    them run away, so a start is sought without them; the refinement that follows has them all.
     """
     if tracks.sigma_rad is None or tracks.d == 2:
         return np.ones(len(tracks), dtype=np.bool_)

@@ -128,9 +128,10 @@ def _join_parts(tracks: Tracks, scene: Scene, options: RefineOptions | None) -> 
         )
         joined = refine(tracks, moved, options)
         largest = (scene.view_component == 0)[tracks.view]
-        if all(joined.inlier[rows].sum() >= _KEPT * before for rows, before in (
-            (seen, own.summary.n_inliers), (largest, (scene.inlier & largest).sum())
-        )):
+        if all(
+            joined.inlier[rows].sum() >= _KEPT * before
+            for rows, before in ((seen, own.summary.n_inliers), (largest, (scene.inlier & largest).sum()))
+        ):
             return joined
     return scene
 
