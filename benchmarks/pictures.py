@@ -12,8 +12,22 @@ from benchmarks.optional import load
 from benchmarks.planar_sets import PlanarSet
 from benchmarks.victoria import Reference
 
-COLOURS = {"robust": "tab:blue", "linear": "tab:orange", "from truth": "tab:green"}
-MARKERS = {"robust": "+", "linear": "x", "from truth": "."}
+COLOURS = {
+    "robust": "tab:blue",
+    "linear": "tab:orange",
+    "from truth": "tab:green",
+    "headings found": "tab:blue",
+    "completed": "tab:orange",
+    "from truth, refined": "tab:green",
+}
+MARKERS = {
+    "robust": "+",
+    "linear": "x",
+    "from truth": ".",
+    "headings found": "+",
+    "completed": "x",
+    "from truth, refined": ".",
+}
 Positions = dict[str, tuple[Float, Float]]
 
 
@@ -86,6 +100,29 @@ def space(path: Path, title: str, centers: Float, found: tuple[Float, Float], un
         axis.plot(views[:, a], views[:, b], "+-", color="tab:blue", markersize=5, linewidth=0.6, label="views, found")
         axis.set_aspect("equal", adjustable="datalim")
         axis.set_xlabel(unit)
+        axis.set_title(f"{title}, axes {a + 1} and {b + 1} of the path", fontsize=9)
+    axes[0].legend(fontsize=7)
+    _save(figure, path)
+
+
+def walks(path: Path, title: str, centers: dict[str, Float], points: Float, unit: str) -> None:
+    """Paths of several mappers from above and from the side (axes of the first path), with the first one's points."""
+    first = next(iter(centers.values()))
+    middle = np.nanmean(first, axis=0)
+    axes_of_path = np.linalg.svd((first - middle)[np.isfinite(first).all(axis=1)])[2]
+    size = float(np.nanmax(np.abs(first - middle)))
+    shown = (points - middle) @ axes_of_path.T
+    shown = shown[np.abs(shown).max(axis=1) < 4.0 * size]
+    figure, axes = _figure(2, 12.0, 6.8)
+    for axis, (a, b) in zip(axes, ((0, 1), (0, 2)), strict=True):
+        axis.plot(shown[:, a], shown[:, b], ".", color="0.7", markersize=1.5, label="points")
+        for (name, walk), marker in zip(centers.items(), "o+x^vs", strict=False):
+            turned = (walk - middle) @ axes_of_path.T
+            axis.plot(
+                turned[:, a], turned[:, b], marker + "-", markersize=6, linewidth=0.6, fillstyle="none", label=name
+            )
+        axis.set(xlim=(-2.2 * size, 2.2 * size), ylim=(-2.2 * size, 2.2 * size), xlabel=unit)
+        axis.set_aspect("equal")
         axis.set_title(f"{title}, axes {a + 1} and {b + 1} of the path", fontsize=9)
     axes[0].legend(fontsize=7)
     _save(figure, path)

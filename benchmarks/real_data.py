@@ -8,6 +8,7 @@ from the truth or the reference.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -408,23 +409,25 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/real-data.md"))
     chosen = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
     output: Path = chosen.output
-    standing = _sections_of(output)
+    standing = sections_of(output)
     for name in chosen.only or SECTIONS:
         standing[name] = section(name, DATA, output.parent / "img" / "real-data")
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(_page(standing), encoding="utf-8")
+        output.write_text(page(standing), encoding="utf-8")
     print(f"wrote {output}")
 
 
-def _page(sections: dict[str, str]) -> str:
+def page(sections: dict[str, str]) -> str:
+    """Put the page together from its sections."""
     about = machine()
     found = ", ".join(f"{package} {version}" for package, version in versions().items())
     head = [
         "# Real data",
         prose(
             """
-            Written by `python -m benchmarks.real_data`; do not edit. Orientations are given, positions and points are
-            found from bearings alone; errors are what remains after a similarity (shift, rotation, scale) laid over the
+            Written by `python -m benchmarks.real_data` (orientations given) and, where a heading says that they are
+            unknown, by `python -m benchmarks.real_orientation`; do not edit. Positions and points are found from
+            bearings alone; errors are what remains after a similarity (shift, rotation, scale) laid over the
             largest jointly scaled part: over its views and landmarks in the plane, over its views in space, where far
             points have no certain distance. "From truth" is the same refinement started from the true positions: what
             these bearings can give.
@@ -432,20 +435,15 @@ def _page(sections: dict[str, str]) -> str:
         ),
         f"{datetime.now(UTC).strftime('%Y-%m-%d')}, {about['cpu']}, {about['cores']} cores; {found}",
     ]
-    marked = [f"<!-- {name} -->\n{sections[name]}\n<!-- end -->" for name in SECTIONS if name in sections]
+    names = [*(name for name in SECTIONS if name in sections), *(name for name in sections if name not in SECTIONS)]
+    marked = [f"<!-- {name} -->\n{sections[name]}\n<!-- end -->" for name in names]
     return "\n\n".join([*head, *marked]) + "\n"
 
 
-def _sections_of(path: Path) -> dict[str, str]:
-    """Take apart a page written before."""
-    found: dict[str, str] = {}
-    if path.exists():
-        text = path.read_text(encoding="utf-8")
-        for name in SECTIONS:
-            _, marker, rest = text.partition(f"<!-- {name} -->\n")
-            if marker:
-                found[name] = rest.partition("\n<!-- end -->")[0]
-    return found
+def sections_of(path: Path) -> dict[str, str]:
+    """Take apart a page written before; sections of ``benchmarks.real_orientation`` among them."""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return dict(re.findall(r"^<!-- (\w+) -->\n(.*?)\n<!-- end -->", text, re.MULTILINE | re.DOTALL))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from panopath.model import (
     Tracks,
     check_orientations,
 )
+from panopath.planar import complete_planar
 from panopath.priors import DirectionPriors, Priors, Rig
 from panopath.steps import (
     HeadingOptions,
@@ -118,7 +119,10 @@ def reconstruct_tracks(  # noqa: PLR0917 (the public names and their order are f
     start = place_views(tracks, oriented, chosen.positions)
     if rig is not None and known.positions is None:
         start = metric_scale(tracks, start, rig)
-    return _forgotten(refine(tracks, start, replace(chosen.refine, priors=known), rig), oriented)
+    scene = refine(tracks, start, replace(chosen.refine, priors=known), rig)
+    if tracks.d == 2 and orientations is None and rig is None and known.is_empty:
+        scene = complete_planar(tracks, scene, chosen.refine)
+    return _forgotten(scene, oriented)
 
 
 def _check_given(tracks: Tracks, priors: Priors | None, options: ReconstructOptions, rig: Rig | None) -> None:
@@ -204,9 +208,36 @@ def place_views(tracks: Tracks, oriented: ViewOrientations, options: PositionOpt
         if members.sum() < 2 or not seen.any():
             continue
         rotations = np.where(members.reshape(-1, *[1] * (identity.ndim - 1)), oriented.cam_from_world, identity)
+        seen &= _with_parallax(tracks, rotations, seen)
         scene = solve_positions(tracks.select(seen), rotations, options)
         placed = _joined(placed, scene, tracks, seen)
     return _nothing(tracks, identity) if placed is None else placed
+
+
+#: A track tells of positions where its directions spread by more than so many standard deviations.
+_PARALLAX_SIGMAS = 8.0
+#: Where a view would keep fewer observations than this, it keeps all.
+_ENOUGH_IN_VIEW = 30
+
+
+def _with_parallax(tracks: Tracks, cam_from_world: Float, seen: Bool) -> Bool:
+    """Find the observations of tracks whose directions spread by more than noise.
+
+    Points without parallax fit wherever the cameras are. With wrong matches among them they pull views together or let
+    them run away, so a start is sought without them; the refinement that follows has them all.
+    """
+    if tracks.sigma_rad is None or tracks.d == 2:
+        return np.ones(len(tracks), dtype=np.bool_)
+    direction = np.einsum("nji,nj->ni", cam_from_world[tracks.view], tracks.bearing)
+    mean = np.zeros((tracks.n_tracks, tracks.d))
+    np.add.at(mean, tracks.track[seen], direction[seen])
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    off = np.linalg.norm(direction - mean[tracks.track], axis=1) / tracks.sigma_rad
+    spread = np.zeros(tracks.n_tracks)
+    np.maximum.at(spread, tracks.track[seen], off[seen])
+    turned = spread[tracks.track] > _PARALLAX_SIGMAS
+    left = np.bincount(tracks.view[turned & seen], minlength=tracks.n_views)
+    return np.asarray(turned | (left[tracks.view] < _ENOUGH_IN_VIEW))
 
 
 def _joined(first: Scene | None, second: Scene, tracks: Tracks, seen: Bool) -> Scene:
