@@ -22,7 +22,8 @@ from benchmarks.cases import CASES, Case  # noqa: E402
 from benchmarks.directions import pairwise_directions  # noqa: E402
 from benchmarks.peers import PEERS, Bearings, _check_pycolmap_input, _pycolmap_reconstruction  # noqa: E402
 from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh, read_victoria_park  # noqa: E402
-from benchmarks.real_data import SECTIONS, _page, _sections_of, section  # noqa: E402
+from benchmarks.real_data import SECTIONS, section, sections_of  # noqa: E402
+from benchmarks.real_data import page as real_page  # noqa: E402
 from benchmarks.scoring import align, camera_rms, distances  # noqa: E402
 
 
@@ -170,8 +171,8 @@ def test_absent_data_is_skipped_with_a_sentence(tmp_path: Path) -> None:
 
 def test_sections_survive_the_renewal_of_others(tmp_path: Path) -> None:
     page_path = tmp_path / "real.md"
-    page_path.write_text(_page({"roh": "## Roh\n\ntext", "lund_door": "## Door"}), encoding="utf-8")
-    assert _sections_of(page_path) == {"roh": "## Roh\n\ntext", "lund_door": "## Door"}
+    page_path.write_text(real_page({"roh": "## Roh\n\ntext", "lund_door": "## Door"}), encoding="utf-8")
+    assert sections_of(page_path) == {"roh": "## Roh\n\ntext", "lund_door": "## Door"}
 
 
 def _residual(data: PlanarSet) -> Float:

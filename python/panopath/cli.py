@@ -33,6 +33,7 @@ from panopath.formats import (
     write_scene,
     write_tracks,
 )
+from panopath.formats.colmap import find_model
 from panopath.formats.csv import Form, read_vectors, write_orientations
 from panopath.formats.folder import check_writable, is_scene_folder
 from panopath.formats.models import check_model_folder
@@ -417,16 +418,18 @@ def evaluate_command(
 ) -> None:
     """Compare a scene with the truth, in the units of the truth."""
     terminal = _Terminal(as_json, quiet)
-    scene = read_scene(out) if is_scene_folder(out) else _scene_of_model(out)
+    scene = _judged(out)
     result = evaluate(scene, read_truth(truth, scene), alignment, trim)
     terminal.answer(result.to_dict(), lambda console: _show_evaluation(console, result))
 
 
-def _scene_of_model(folder: Path) -> Scene:
-    """Read the scene of a COLMAP model, as `panopath map` writes it."""
-    scene = read_problem(folder).scene if folder.is_dir() else None
+def _judged(folder: Path) -> Scene:
+    """Read the scene of a folder that panopath wrote, or of a COLMAP model such as `panopath map` writes."""
+    if is_scene_folder(folder) or not folder.is_dir() or find_model(folder) is None:
+        return read_scene(folder)
+    scene = read_problem(folder).scene
     if scene is None:
-        raise InputError(f"{folder}: expected a folder that panopath wrote, or a COLMAP model")
+        raise InputError(f"{folder}: the model has no points")
     return scene
 
 

@@ -399,6 +399,9 @@ def _second_pass(  # noqa: PLR0917
         tracks=tracks,
         track_names=None,
     )
+    if rig is not None and refinement.priors.positions is None:
+        # a first refinement from a size far off may have stopped on the way
+        start = metric_scale(tracks, start, rig)
     return features, refine(tracks, start, refinement, rig)
 
 

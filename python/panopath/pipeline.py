@@ -356,7 +356,8 @@ _ENOUGH_OBSERVATIONS = 20_000
 def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
     """Bring each component of unknown size near the size at which the rig's own baselines fit best.
 
-    Cameras are held and points intersected anew at sizes a factor of two apart; a refinement finds the rest.
+    Cameras are held and points intersected anew at the present size and at sizes a factor of two apart; a refinement
+    finds the rest.
 
     Parameters
     ----------
@@ -376,15 +377,17 @@ def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:
     trial = replace(scene, tracks=None, inlier=scene.inlier[some], residual_rad=scene.residual_rad[some])
     unit = np.where(extent > 0.0, arm / np.maximum(extent, np.finfo(float).tiny), 1.0)
     owner = scene.view_component[sample.view]
-    misfit = np.full((len(_SIZES), len(unit)), np.inf)
-    for size, row in zip(_SIZES, misfit, strict=True):
-        residual = refine(sample, _sized(trial, size * unit), options, sensors).residual_rad
+    # the present size is tried too: a scene that has its size keeps it
+    factors = np.concatenate((_SIZES[:, None] * unit, np.ones((1, len(unit)))))
+    misfit = np.full(factors.shape, np.inf)
+    for factor, row in zip(factors, misfit, strict=True):
+        residual = refine(sample, _sized(trial, factor), options, sensors).residual_rad
         squared = np.minimum(residual, 5.0 * scene.summary.sigma_rad) ** 2
         for part in range(len(unit)):
             counted = (owner == part) & np.isfinite(squared)
             row[part] = squared[counted].mean() if counted.any() else np.inf
-    best = np.where(extent > 0.0, _SIZES[misfit.argmin(axis=0)] * unit, 1.0)
-    return _sized(scene, best)
+    best = np.take_along_axis(factors, misfit.argmin(axis=0)[None], axis=0)[0]
+    return _sized(scene, np.where(extent > 0.0, best, 1.0))
 
 
 def _extent(centers: Float) -> float:
