@@ -67,8 +67,9 @@ fix: $(STAMPS)/dev  ## format all files and mend what the linters can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(STAMPS)/package $(STAMPS)/peers  ## measure against other programs and write docs/benchmarks.md (long)
+bench: $(STAMPS)/package $(STAMPS)/peers  ## measure against other programs and write the pages of benchmarks (long)
 	$(BIN)/python -m benchmarks.run
+	$(BIN)/python -m benchmarks.free_page
 
 bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 	cargo bench --workspace
