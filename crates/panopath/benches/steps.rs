@@ -6,8 +6,12 @@ use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use panopath::geometry::{Similarity, norm, sub};
+use panopath::orientation::{OrientationOptions, RelativeRotation, average_rotations};
 use panopath::positions::*;
-use panopath::synthetic::{World, WorldKind, WorldOptions, simulate};
+use panopath::refinement::{CovarianceGauge, RefineOptions, refine};
+use panopath::synthetic::{Orientations, World, WorldKind, WorldOptions, simulate};
+use panopath::two_view::{TwoViewOptions, relative_poses};
+use panopath::view_graph::{ViewGraphOptions, view_pairs};
 
 const NOISE_RAD: f64 = 0.05 * std::f64::consts::PI / 180.0;
 
@@ -101,5 +105,87 @@ fn covariance(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(steps, robust, linear, parts, covariance);
+/// Worlds whose orientations, as told, err by half a degree.
+fn turned(kind: WorldKind, n_views: usize, n_points: usize) -> World<3> {
+    let o = WorldOptions {
+        n_views,
+        n_points,
+        noise_rad: NOISE_RAD,
+        orientations: Orientations::Random,
+        orientation_error_rad: 0.01,
+        seed: 1,
+        ..Default::default()
+    };
+    simulate(kind, &o).unwrap()
+}
+
+fn refinement(c: &mut Criterion) {
+    let mut group = c.benchmark_group("refinement");
+    group.sample_size(10).warm_up_time(Duration::from_millis(500)).measurement_time(Duration::from_secs(5));
+    for (kind, n_views, n_points) in [(WorldKind::Street, 100, 10_000), (WorldKind::Street, 1000, 100_000)] {
+        let world = turned(kind, n_views, n_points);
+        let start = solve_positions(&world.tracks, Some(&world.cam_from_world), &PositionOptions::default()).unwrap();
+        let options = RefineOptions::default();
+        let scene = refine::<3, 6>(&world.tracks, &start, &options).unwrap();
+        let similarity: Vec<_> = scene.centers.iter().copied().zip(world.centers.iter().copied()).collect();
+        let fit = Similarity::fit(&similarity).unwrap();
+        let squared: f64 = similarity.iter().map(|(a, b)| norm(&sub(&fit.apply(a), b)).powi(2)).sum();
+        let rms = (squared / n_views as f64).sqrt();
+        let (name, summary) = (kind.name(), &scene.summary);
+        eprintln!(
+            "refinement/{name}/{n_views}: {:?}, camera rms {rms:.3e}, {} iterations",
+            summary.status, summary.iterations
+        );
+        group.throughput(Throughput::Elements(world.tracks.len() as u64));
+        group.bench_function(BenchmarkId::new(name, n_views), |b| {
+            b.iter(|| refine::<3, 6>(black_box(&world.tracks), &start, &options).unwrap());
+        });
+        group.bench_function(BenchmarkId::new(format!("{name} covariance"), n_views), |b| {
+            let gauge = CovarianceGauge::default();
+            b.iter(|| {
+                panopath::refinement::covariance::<3, 6>(&world.tracks, &scene, &options, gauge, NOISE_RAD).unwrap()
+            });
+        });
+    }
+    group.finish();
+}
+
+/// From tracks to orientations: pairs of views, their relative poses, the average.
+fn orientations(c: &mut Criterion) {
+    let mut group = c.benchmark_group("orientations");
+    group.sample_size(10).warm_up_time(Duration::from_millis(500)).measurement_time(Duration::from_secs(5));
+    let world = turned(WorldKind::Street, 100, 10_000);
+    let graph = view_pairs(&world.tracks, &ViewGraphOptions::default());
+    let start: Vec<usize> = graph.start.iter().map(|&s| s as usize).collect();
+    let side = |k: usize| -> Vec<[f64; 3]> {
+        graph.observation.iter().map(|pair| world.tracks.bearing()[pair[k] as usize]).collect()
+    };
+    let (first, second) = (side(0), side(1));
+    let options = TwoViewOptions::default();
+    let relative = relative_poses(&start, &first, &second, None, &options).unwrap();
+    let edges: Vec<RelativeRotation> = (graph.pair.iter().zip(&relative))
+        .map(|(&[first, second], pair)| RelativeRotation {
+            first,
+            second,
+            second_from_first: pair.second_from_first,
+            sigma_rad: NOISE_RAD,
+        })
+        .collect();
+    let averaged = average_rotations(100, &edges, &[], &OrientationOptions::default()).unwrap();
+    let kept = averaged.edge_inlier.iter().filter(|&&k| k).count();
+    eprintln!("orientations/street/100: {:?}, {kept} of {} edges agree", averaged.status, edges.len());
+    group.bench_function("view_pairs", |b| {
+        b.iter(|| view_pairs(black_box(&world.tracks), &ViewGraphOptions::default()));
+    });
+    group.throughput(Throughput::Elements(edges.len() as u64));
+    group.bench_function("relative_poses", |b| {
+        b.iter(|| relative_poses(&start, black_box(&first), &second, None, &options).unwrap());
+    });
+    group.bench_function("average_rotations", |b| {
+        b.iter(|| average_rotations(100, black_box(&edges), &[], &OrientationOptions::default()).unwrap());
+    });
+    group.finish();
+}
+
+criterion_group!(steps, robust, linear, parts, covariance, refinement, orientations);
 criterion_main!(steps);
