@@ -189,3 +189,39 @@ def test_what_cannot_be_used_is_named(change: dict[str, Any], said: str) -> None
 def test_offsets_that_cut_wrongly_are_named(start: list[float], said: str) -> None:
     with pytest.raises(pp.InputError, match=said):
         pp.relative_poses(start, *GOOD)
+
+
+def test_matches_are_judged_by_known_poses() -> None:
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(60, 3)) * 4.0
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    center = np.array([0.5, -0.2, 0.1])
+    first = points / np.linalg.norm(points, axis=1, keepdims=True)
+    second = (points - center) @ turn.T
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    bearing = np.concatenate((first, second, [[np.nan] * 3]))
+    right = np.stack((np.arange(60), 60 + np.arange(60)), axis=1)
+    wrong = np.stack((np.arange(60), 60 + (np.arange(60) + 7) % 60), axis=1)
+    nothing = [[0, 120], [0, 500]]
+    matches = np.concatenate((right, wrong, nothing, right))
+    start = [0, 122, 182]
+    limit = np.radians(0.05)
+    turns, baselines = np.stack((turn, turn)), np.stack((turn @ center, -turn @ center))
+    agree = pp.steps.matches_that_agree(start, matches, bearing, np.full(121, limit), turns, baselines, np.zeros(2))
+    assert agree[:60].all()
+    assert agree[60:120].sum() <= 2
+    assert not agree[120:122].any()
+    # the opposite baseline has the same epipolar planes, and all points behind
+    assert not agree[122:].any()
+    still = pp.steps.matches_that_agree(
+        [0, 60],
+        np.stack((np.arange(60), np.arange(60)), axis=1),
+        first,
+        np.full(60, limit),
+        np.eye(3)[None],
+        np.full((1, 3), np.nan),
+        np.zeros(1),
+    )
+    assert still.all()
+    with pytest.raises(pp.InputError, match="of 1 pairs"):
+        pp.steps.matches_that_agree([0], right, bearing, np.zeros(121), turns[:1], baselines[:1], [0.0])

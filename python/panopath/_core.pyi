@@ -21,6 +21,7 @@ __all__ = [
     "cylindrical_from_bearings",
     "equirectangular_from_bearings",
     "fit_rotations",
+    "matches_that_agree",
     "mean_motion",
     "natural_order",
     "perspective_from_bearings",
@@ -95,6 +96,15 @@ def position_covariance(
     points: npt.NDArray[np.float64],
     inlier: npt.NDArray[np.bool_] | None,
 ) -> npt.NDArray[np.float64]: ...
+def matches_that_agree(
+    pair_start: npt.NDArray[np.int64],
+    matches: npt.NDArray[np.int64],
+    bearing: npt.NDArray[np.float64],
+    tolerance_rad: npt.NDArray[np.float64],
+    second_from_first: npt.NDArray[np.float64],
+    baseline: npt.NDArray[np.float64],
+    limit_rad: npt.NDArray[np.float64],
+) -> npt.NDArray[np.bool_]: ...
 def relative_poses(
     pair_start: npt.NDArray[np.int64],
     first: npt.NDArray[np.float64],

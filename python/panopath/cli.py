@@ -274,7 +274,7 @@ def map_command(
     min_num_matches: Annotated[int, typer.Option(min=1, help="Leave out pairs with fewer matches.")] = 15,
     min_track_length: Annotated[int, typer.Option(min=2, help="Fewest images that see a point.")] = 2,
     max_epipolar_error: Annotated[float, typer.Option(help="Largest angle of a match to its plane, in pixels.")] = 4.0,
-    max_partners: Annotated[int, typer.Option(min=1, help="Pairs to orient, for each view.")] = 20,
+    max_partners: Annotated[int, typer.Option(min=1, help="Pairs to orient, for each view.")] = 12,
     random_seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     use_prior_position: Annotated[
         bool, typer.Option("--use-prior-position", help="Put the model where the database's positions say.")

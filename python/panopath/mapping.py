@@ -25,6 +25,7 @@ from panopath.steps import (
     RefineOptions,
     TwoViewStatus,
     average_rotations,
+    matches_that_agree,
     refine,
     relative_poses,
     tracks_from_matches,
@@ -36,6 +37,8 @@ Index = npt.NDArray[np.int64]
 _NOT_A_SCENE = (7, 8)
 #: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
 _LEAST_EDGE_SIGMA_RAD = 1e-4
+#: Steps of a solve that another follows.
+_ROUGH_ITERATIONS = 4
 #: Where a database has positions without covariance: metres, as satellite receivers err.
 _POSITION_SIGMA = 3.0
 
@@ -63,7 +66,7 @@ class MapOptions:
     #: Judge all matches again by the refined poses, join tracks anew and refine once more.
     retriangulate: bool = True
     #: Pairs of views to orient: at most this many partners for each view.
-    max_partners: int = 20
+    max_partners: int = 12
     #: Seed of everything random.
     seed: int = 0
     #: Choices of the steps in between.
@@ -124,12 +127,15 @@ def map_database(
     features = _join(database, judged, chosen)
     say(f"placing {database.n_frames} views and {features.n_tracks} points")
     tracks, rig = _tracks(database, views, features, chosen)
-    start = place_views(tracks, oriented, chosen.steps.positions)
+    positions = chosen.steps.positions
+    rough = replace(positions, max_iterations=min(positions.max_iterations, _ROUGH_ITERATIONS))
+    start = place_views(tracks, oriented, rough)
     refinement = replace(chosen.steps.refine, priors=priors)
     if rig is not None and priors.positions is None:
         start = metric_scale(tracks, start, rig)
     say("refining")
-    scene = refine(tracks, start, refinement, rig)
+    first = replace(refinement, max_iterations=min(refinement.max_iterations, _ROUGH_ITERATIONS))
+    scene = refine(tracks, start, first if chosen.retriangulate else refinement, rig)
     if chosen.retriangulate:
         say("judging matches again, refining")
         features, scene = _second_pass(database, views, matches, (features, scene), refinement, chosen)
@@ -233,6 +239,10 @@ def _priors(database: Database, options: MapOptions) -> Priors:
     return Priors(positions=positions, directions=directions)
 
 
+#: Matches of a pair that it is oriented by.
+_ORIENTING_MATCHES = 120
+
+
 def _orient(n_views: int, views: _Views, matches: _Matches, priors: Priors, options: MapOptions) -> ViewOrientations:
     """Relative poses of the views that share most, averaged."""
     ends = views.view[matches.feature]
@@ -246,7 +256,8 @@ def _orient(n_views: int, views: _Views, matches: _Matches, priors: Priors, opti
     pair, begin, count = np.unique(key[order], return_index=True, return_counts=True)
     keep = _partners(pair // n_views, pair % n_views, count, n_views, options.max_partners)
     graph = options.steps.view_graph
-    thin = [_thinned(order[b : b + c], graph.max_matches) for b, c in zip(begin[keep], count[keep], strict=True)]
+    most = min(graph.max_matches, _ORIENTING_MATCHES)
+    thin = [_thinned(order[b : b + c], most) for b, c in zip(begin[keep], count[keep], strict=True)]
     start = np.concatenate(([0], np.cumsum([len(rows) for rows in thin])))
     rows = feature[np.concatenate(thin)] if thin else np.empty((0, 2), dtype=np.int64)
     two_view = replace(options.steps.two_view, seed=options.seed)
@@ -292,24 +303,80 @@ def _thinned(rows: Index, most: int) -> Index:
 
 
 def _agree_with_orientations(views: _Views, matches: _Matches, oriented: ViewOrientations, options: MapOptions) -> Bool:
-    """Judge matches by one baseline for each pair, orientations given."""
-    first, second = matches.feature[:, 0], matches.feature[:, 1]
-    a, b = views.view[first], views.view[second]
+    """Judge matches by one baseline for each pair, orientations given.
+
+    Orientations err by more than a pixel at first: the limit is the noise that the pair shows.
+    """
     component = oriented.view_component
+    a, b = _views_of_pairs(views, matches)
     known = (component[a] >= 0) & (component[a] == component[b])
-    direction_a = _turned_back(oriented.cam_from_world, a, views.bearing[first])
-    direction_b = _turned_back(oriented.cam_from_world, b, views.bearing[second])
-    limit = options.max_epipolar_error_px * np.maximum(views.pixel_rad[first], views.pixel_rad[second])
-    two_view = replace(options.steps.two_view, seed=options.seed)
+    some = _some_of_each_pair(matches, _JUDGED_MATCHES)
+    first, second = matches.feature[some, 0], matches.feature[some, 1]
     # bearings are turned into the world, so that only a direction is left to find
-    identity = np.tile(np.eye(3), (len(matches.pair), 1, 1))
-    found = relative_poses(matches.start, _filled(direction_a), _filled(direction_b), two_view, identity)
-    # orientations err by more than a pixel at first: a match is judged by the noise that its pair shows
-    inlier = np.array(found.inlier)
-    undetermined = np.array([status is TwoViewStatus.UNDETERMINED for status in found.status], dtype=np.bool_)
-    angle = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(direction_a - direction_b, axis=1), 1.0))
-    still = undetermined[matches.row] & (angle < limit)
-    return np.asarray(known & (inlier | still))
+    found = relative_poses(
+        np.searchsorted(matches.row[some], np.arange(len(matches.pair) + 1)),
+        _filled(_turned_back(oriented.cam_from_world, views.view[first], views.bearing[first])),
+        _filled(_turned_back(oriented.cam_from_world, views.view[second], views.bearing[second])),
+        replace(options.steps.two_view, seed=options.seed),
+        np.tile(np.eye(3), (len(matches.pair), 1, 1)),
+    )
+    noise = np.where(np.isfinite(found.sigma_rad), found.sigma_rad, 0.0)
+    agree = _agree(
+        views, matches, oriented.cam_from_world, (a, b), (found.direction, known), options, _NOISE_SIGMAS * noise
+    )
+    return np.asarray(agree & known[matches.row])
+
+
+def _agree_with_poses(views: _Views, matches: _Matches, scene: Scene, options: MapOptions) -> Bool:
+    """Judge matches by whether their rays meet, poses given."""
+    a, b = _views_of_pairs(views, matches)
+    known = (scene.view_component[a] >= 0) & (scene.view_component[a] == scene.view_component[b])
+    first, second = (matches.feature[matches.start[:-1], side] for side in (0, 1))
+    start_a = scene.centers[a] + _turned_back(scene.cam_from_world, a, views.lever[first])
+    start_b = scene.centers[b] + _turned_back(scene.cam_from_world, b, views.lever[second])
+    baseline = start_b - start_a
+    none = np.zeros(len(known))
+    agree = _agree(views, matches, scene.cam_from_world, (a, b), (baseline, known), options, none)
+    return np.asarray(agree & known[matches.row])
+
+
+def _agree(  # noqa: PLR0917
+    views: _Views,
+    matches: _Matches,
+    cam_from_world: Float,
+    ends: tuple[Index, Index],
+    baseline: tuple[Float, Bool],
+    options: MapOptions,
+    limit: Float,
+) -> Bool:
+    """Judge all matches of each pair by the orientations of its views and its baseline in the world, where known."""
+    a, b = ends
+    between, known = baseline
+    rotation = np.where(known[:, None, None], cam_from_world[b] @ np.swapaxes(cam_from_world[a], 1, 2), np.eye(3))
+    towards = np.einsum("nij,nj->ni", cam_from_world[b], between)
+    own = options.max_epipolar_error_px * views.pixel_rad
+    return matches_that_agree(matches.start, matches.feature, views.bearing, own, rotation, towards, limit)
+
+
+#: Matches of a pair that its baseline is sought with; all are judged by it.
+_JUDGED_MATCHES = 100
+#: Matches may miss the baseline of their pair by so many standard deviations of the noise that the pair shows.
+_NOISE_SIGMAS = 4.0
+
+
+def _views_of_pairs(views: _Views, matches: _Matches) -> tuple[Index, Index]:
+    """Look up the views of the first and of the second image of each pair."""
+    first = matches.feature[matches.start[:-1]]
+    return views.view[first[:, 0]], views.view[first[:, 1]]
+
+
+def _some_of_each_pair(matches: _Matches, most: int) -> Index:
+    """Rows of at most ``most`` matches of each pair, evenly spread."""
+    count = np.diff(matches.start)
+    within = np.arange(len(matches.row)) - matches.start[matches.row]
+    n = count[matches.row]
+    # of n rows, those where the count of thirds, quarters ... of the way goes up
+    return np.flatnonzero((n <= most) | ((within + 1) * most // n > within * most // n))
 
 
 def _filled(directions: Float) -> Float:
@@ -318,32 +385,7 @@ def _filled(directions: Float) -> Float:
 
 
 def _turned_back(cam_from_world: Float, view: Index, bearing: Float) -> Float:
-    return np.asarray(np.einsum("nji,nj->ni", cam_from_world[view], bearing))
-
-
-def _agree_with_poses(views: _Views, matches: _Matches, scene: Scene, options: MapOptions) -> Bool:
-    """Judge matches by whether their rays meet, poses given."""
-    first, second = matches.feature[:, 0], matches.feature[:, 1]
-    a, b = views.view[first], views.view[second]
-    known = (scene.view_component[a] >= 0) & (scene.view_component[a] == scene.view_component[b])
-    ray_a = _turned_back(scene.cam_from_world, a, views.bearing[first])
-    ray_b = _turned_back(scene.cam_from_world, b, views.bearing[second])
-    start_a = scene.centers[a] + _turned_back(scene.cam_from_world, a, views.lever[first])
-    start_b = scene.centers[b] + _turned_back(scene.cam_from_world, b, views.lever[second])
-    baseline = start_b - start_a
-    normal = np.cross(baseline, ray_a)
-    length = np.linalg.norm(normal, axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        off_plane_b = np.abs(np.einsum("ni,ni->n", normal, ray_b)) / length
-        other = np.cross(baseline, ray_b)
-        off_plane_a = np.abs(np.einsum("ni,ni->n", other, ray_a)) / np.linalg.norm(other, axis=1)
-        limit = options.max_epipolar_error_px * np.maximum(views.pixel_rad[first], views.pixel_rad[second])
-        near = np.minimum(off_plane_a, off_plane_b) < limit
-        # the rays turn towards each other, unless they are parallel within the limit: neither meets the other behind
-        across = np.cross(ray_a, ray_b)
-        meets = np.einsum("ni,ni->n", normal, across) > -limit * length
-        meets &= np.einsum("ni,ni->n", other, across) > -limit * np.linalg.norm(other, axis=1)
-    return np.asarray(known & near & meets)
+    return np.asarray(np.matmul(bearing[:, None, :], cam_from_world[view])[:, 0])
 
 
 def _join(database: Database, matches: _Matches, options: MapOptions) -> FeatureTracks:
@@ -384,16 +426,17 @@ def _second_pass(  # noqa: PLR0917
     refinement: RefineOptions,
     options: MapOptions,
 ) -> tuple[FeatureTracks, Scene]:
-    """Join what agrees with the refined poses, intersect all points anew and refine again."""
+    """Join what agrees with the refined poses, intersect points that are new and refine again."""
     scene = first[1]
     features = _join(database, matches.select(_agree_with_poses(views, matches, scene, options)), options)
     if not len(features):
         return first  # views that only turned: no poses to agree with
     tracks, rig = _tracks(database, views, features, options)
+    same = _same_tracks(database, first[0], scene, features)
     start = replace(
         scene,
-        points=np.full((tracks.n_tracks, 3), np.nan),
-        track_component=np.full(tracks.n_tracks, -1),
+        points=np.where(same[:, None] >= 0, scene.points[same], np.nan),
+        track_component=np.where(same >= 0, scene.track_component[same], -1),
         inlier=np.zeros(len(tracks), dtype=np.bool_),
         residual_rad=np.full(len(tracks), np.nan),
         tracks=tracks,
@@ -403,6 +446,17 @@ def _second_pass(  # noqa: PLR0917
         # a first refinement from a size far off may have stopped on the way
         start = metric_scale(tracks, start, rig)
     return features, refine(tracks, start, refinement, rig)
+
+
+def _same_tracks(database: Database, before: FeatureTracks, scene: Scene, after: FeatureTracks) -> Index:
+    """Find an earlier track that shares a feature in use with each track now, -1 where there is none."""
+    used = scene.inlier & (scene.track_component[before.track] >= 0)
+    of_feature = np.full(int(database.feature_starts[-1]), -1, dtype=np.int64)
+    of_feature[before.feature[used] + database.feature_starts[before.image[used]]] = before.track[used]
+    same = np.full(after.n_tracks, -1, dtype=np.int64)
+    earlier = of_feature[after.feature + database.feature_starts[after.image]]
+    same[after.track[earlier >= 0]] = earlier[earlier >= 0]
+    return same
 
 
 def _reconstruction(database: Database, features: FeatureTracks, scene: Scene) -> Reconstruction:

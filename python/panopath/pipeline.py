@@ -228,10 +228,11 @@ def _with_parallax(tracks: Tracks, cam_from_world: Float, seen: Bool) -> Bool:
     """
     if tracks.sigma_rad is None or tracks.d == 2:
         return np.ones(len(tracks), dtype=np.bool_)
-    direction = np.einsum("nji,nj->ni", cam_from_world[tracks.view], tracks.bearing)
-    mean = np.zeros((tracks.n_tracks, tracks.d))
-    np.add.at(mean, tracks.track[seen], direction[seen])
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    direction = tracks.to_world(cam_from_world).bearing
+    counted = np.where(seen[:, None], direction, 0.0)
+    sums = [np.bincount(tracks.track, weights=counted[:, c], minlength=tracks.n_tracks) for c in range(tracks.d)]
+    mean: Float = np.stack(sums, axis=1)
+    mean = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     off = np.linalg.norm(direction - mean[tracks.track], axis=1) / tracks.sigma_rad
     spread = np.zeros(tracks.n_tracks)
     np.maximum.at(spread, tracks.track[seen], off[seen])
@@ -350,7 +351,7 @@ def _correlation(source: Float, target: Float) -> Float:
 #: Sizes of the scene that are tried, against that of the rig: factors of two.
 _SIZES = 2.0 ** np.arange(-4, 14)
 #: Observations that the trial looks at, about.
-_ENOUGH_OBSERVATIONS = 20_000
+_ENOUGH_OBSERVATIONS = 6_000
 
 
 def metric_scale(tracks: Tracks, scene: Scene, rig: Rig) -> Scene:

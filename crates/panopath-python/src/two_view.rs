@@ -1,10 +1,12 @@
 //! `relative_poses`: flat arrays of matches in, arrays with one entry a pair out.
 
 use numpy::ndarray::{Array2, Array3};
-use numpy::{IntoPyArray, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use panopath::Rotation;
 use panopath::geometry::Matrix;
-use panopath::two_view::{TwoView, TwoViewOptions, TwoViewStatus, relative_poses as solve};
+use panopath::two_view::{
+    KnownPose, TwoView, TwoViewOptions, TwoViewStatus, matches_that_agree as agreeing, relative_poses as solve,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -27,6 +29,36 @@ fn relative_poses<'py>(
     let known = second_from_first.map(|r| rotations(&r)).transpose()?;
     let views = py.detach(|| solve(&start, &first, &second, known.as_deref(), &options)).map_err(value_error)?;
     fill(py, &views)
+}
+
+/// Matches that agree with known poses (`panopath.steps.matches_that_agree` describes the arguments).
+#[pyfunction]
+#[allow(clippy::too_many_arguments)]
+fn matches_that_agree<'py>(
+    py: Python<'py>,
+    pair_start: PyReadonlyArray1<'py, i64>,
+    matches: PyReadonlyArray2<'py, i64>,
+    bearing: PyReadonlyArray2<'py, f64>,
+    tolerance_rad: PyReadonlyArray1<'py, f64>,
+    second_from_first: PyReadonlyArray3<'py, f64>,
+    baseline: PyReadonlyArray2<'py, f64>,
+    limit_rad: PyReadonlyArray1<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    let (start, turns) = (offsets(&pair_start)?, rotations(&second_from_first)?);
+    let baselines = vectors::<3>(&baseline, "baseline")?;
+    let limits = limit_rad.as_array().to_vec();
+    let n = turns.len();
+    if (baselines.len(), limits.len(), start.len()) != (n, n, n + 1) || start.windows(2).any(|w| w[0] > w[1]) {
+        return Err(PyValueError::new_err(format!("expected pair_start, baseline and limit_rad of {n} pairs")));
+    }
+    let poses: Vec<KnownPose> = (turns.into_iter().zip(baselines).zip(limits))
+        .map(|((second_from_first, baseline), limit_rad)| KnownPose { second_from_first, baseline, limit_rad })
+        .collect();
+    let table = matches.as_array();
+    let pairs: Vec<[u32; 2]> = table.rows().into_iter().map(|r| [r[0] as u32, r[1] as u32]).collect();
+    let (bearing, tolerance) = (vectors::<3>(&bearing, "bearing")?, tolerance_rad.as_array().to_vec());
+    let found = py.detach(|| agreeing(&poses, &start, &pairs, &bearing, &tolerance));
+    Ok(found.into_pyarray(py))
 }
 
 fn offsets(pair_start: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {
@@ -105,5 +137,6 @@ fn read_options(options: &Bound<'_, PyDict>) -> PyResult<TwoViewOptions> {
 
 /// Adds the function to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(matches_that_agree, module)?)?;
     module.add_function(wrap_pyfunction!(relative_poses, module)?)
 }

@@ -649,3 +649,51 @@ fn in_first_frame(joint: &[[f64; 5]; 5], pose: &Pose, basis: &[Vector<3>; 2]) ->
     let certain = largest_deviation(&rotation).max(largest_deviation(&direction)) < LARGEST_DEVIATION_RAD;
     certain.then_some((rotation, direction))
 }
+
+/// A pose that is known, and how far its matches may miss it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KnownPose {
+    /// Takes bearings of the first camera to the second.
+    pub second_from_first: Rotation<3>,
+    /// From the first centre to the second, in the second camera's frame, of any length; NaN where there is no baseline that
+    /// counts: bearings then have to be the same.
+    pub baseline: Vector<3>,
+    /// Largest angle of a match to its epipolar plane; a match's own tolerance counts where it is larger.
+    pub limit_rad: f64,
+}
+
+/// Which matches agree with poses that are known: the matches of pair `p` are `matches[start[p]..start[p + 1]]`, each a
+/// feature of the first and one of the second image.
+///
+/// A match agrees if both bearings lie within the limit of one epipolar plane and their rays meet in front of both cameras,
+/// or are parallel as far as the limit can tell. `tolerance_rad` is that of each feature. Indices beyond the features, and
+/// bearings that are not finite, agree with nothing.
+pub fn matches_that_agree(
+    poses: &[KnownPose],
+    start: &[usize],
+    matches: &[[u32; 2]],
+    bearing: &[Vector<3>],
+    tolerance_rad: &[f64],
+) -> Vec<bool> {
+    let judge = |p: usize| -> Vec<bool> {
+        let pose = &poses[p];
+        let known = epipolar::Pose { second_from_first: pose.second_from_first, baseline: normalized(&pose.baseline) };
+        let has_baseline = pose.baseline.iter().all(|x| x.is_finite()) && pose.baseline != [0.0; 3];
+        let rows = start.get(p).copied().unwrap_or(0)..start.get(p + 1).copied().unwrap_or(0).min(matches.len());
+        let agrees = |&[a, b]: &[u32; 2]| {
+            let (a, b) = (a as usize, b as usize);
+            let (Some(first), Some(second)) = (bearing.get(a), bearing.get(b)) else { return false };
+            let own = |f: usize| tolerance_rad.get(f).copied().unwrap_or(0.0);
+            let limit = pose.limit_rad.max(own(a)).max(own(b));
+            if has_baseline {
+                let seen = epipolar::sighting(&known, first, second, limit);
+                // the least movement of both bearings is shared by them
+                seen.error.abs() * std::f64::consts::SQRT_2 < limit && seen.in_front
+            } else {
+                crate::geometry::angle_between(&pose.second_from_first.apply(first), second) < limit
+            }
+        };
+        matches.get(rows).unwrap_or_default().iter().map(agrees).collect()
+    };
+    (0..poses.len()).into_par_iter().map(judge).collect::<Vec<_>>().concat()
+}

@@ -10,7 +10,15 @@ from panopath.steps.orientation import (
 )
 from panopath.steps.positions import position_covariance, solve_positions
 from panopath.steps.refinement import RefineOptions, SceneCovariance, refine, scene_covariance
-from panopath.steps.two_view import TwoView, TwoViewOptions, TwoViews, TwoViewStatus, relative_pose, relative_poses
+from panopath.steps.two_view import (
+    TwoView,
+    TwoViewOptions,
+    TwoViews,
+    TwoViewStatus,
+    matches_that_agree,
+    relative_pose,
+    relative_poses,
+)
 from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
@@ -33,6 +41,7 @@ __all__ = [
     "average_rotations",
     "find_headings",
     "fit_rotations",
+    "matches_that_agree",
     "mean_motion",
     "position_covariance",
     "refine",

@@ -219,6 +219,54 @@ def relative_poses(
     return TwoViews(pair_start=read_only(start), status=status, **{name: read_only(a) for name, a in found.items()})
 
 
+def matches_that_agree(  # noqa: PLR0917 (the public names and their order are fixed)
+    pair_start: npt.ArrayLike,
+    matches: npt.ArrayLike,
+    bearing: npt.ArrayLike,
+    tolerance_rad: npt.ArrayLike,
+    second_from_first: npt.ArrayLike,
+    baseline: npt.ArrayLike,
+    limit_rad: npt.ArrayLike,
+) -> Bool:
+    """Judge matches by poses that are known, many pairs in parallel.
+
+    A match agrees if both bearings lie within a limit of one epipolar plane and their rays meet in front of both
+    cameras, or are parallel as far as the limit can tell.
+
+    Parameters
+    ----------
+    pair_start
+        (n_pairs + 1,) where the matches of each pair begin.
+    matches
+        (n, 2) rows of ``bearing``: features of the first and of the second image.
+    bearing, tolerance_rad
+        (k, 3) unit vectors in the cameras, NaN where unknown, and the (k,) angle that each may be off.
+    second_from_first, baseline
+        (n_pairs, 3, 3) rotations and (n_pairs, 3) vectors from the first centre to the second in the second camera's
+        frame, NaN where the two are at one place.
+    limit_rad
+        (n_pairs,) largest angle to the plane, where it exceeds the features' own.
+
+    Returns
+    -------
+    array
+        (n,) bool.
+    """
+    return np.asarray(
+        call_core(
+            _core.matches_that_agree,
+            np.ascontiguousarray(pair_start, dtype=np.int64),
+            np.ascontiguousarray(matches, dtype=np.int64),
+            _bearings("bearing", bearing),
+            np.ascontiguousarray(tolerance_rad, dtype=np.float64),
+            _floats("second_from_first", second_from_first),
+            _bearings("baseline", baseline),
+            np.ascontiguousarray(limit_rad, dtype=np.float64),
+        ),
+        dtype=np.bool_,
+    )
+
+
 def _plain(options: TwoViewOptions) -> dict[str, Any]:
     plain = asdict(options)
     for name, whole in (
