@@ -208,7 +208,8 @@ def kerry_park(folder: Path, images: Path) -> str:
                 """
                 COLMAP's matching is not repeatable, so every run makes other databases. The fisheyes are not solved
                 reliably: in the run above one frame lies far off. On six databases of them, measured one after
-                another with the mapper before it oriented by fewer matches, our walk lay off an incremental one by 0.34 to 0.40 % (median; at most
+                another with the mapper before it oriented by fewer matches, our walk lay
+                off an incremental one by 0.34 to 0.40 % (median; at most
                 2.1 %) five times and once by 11 % (at most 49 %, at a size of 17.8 m that one more refinement
                 brought to 6.2 m); COLMAP's global walk, measured on three of them, by 1.2, 2.7 and 27 % (at most
                 195, 29 and 121 %). With another seed one of three walks was off by 1.8 %. On the panoramas all
