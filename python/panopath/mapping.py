@@ -16,15 +16,13 @@ import numpy.typing as npt
 
 from panopath.formats.database import Database
 from panopath.formats.models import Reconstruction
-from panopath.model import Bool, Float, InputError, Scene, Tracks
-from panopath.pipeline import ReconstructOptions, ViewOrientations, metric_scale, place_views
+from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
+from panopath.pipeline import ReconstructOptions, ViewOrientations, averaged, metric_scale, place_views
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig
 from panopath.steps import (
     CorrespondenceOptions,
     FeatureTracks,
     RefineOptions,
-    TwoViewStatus,
-    average_rotations,
     matches_that_agree,
     refine,
     relative_poses,
@@ -35,8 +33,6 @@ Index = npt.NDArray[np.int64]
 
 #: COLMAP's configuration of pairs whose matches are a watermark, or several motions.
 _NOT_A_SCENE = (7, 8)
-#: Least standard deviation of a relative rotation, radians: what the model of two views leaves out.
-_LEAST_EDGE_SIGMA_RAD = 1e-4
 #: Steps of a solve that another follows.
 _ROUGH_ITERATIONS = 4
 #: Where a database has positions without covariance: metres, as satellite receivers err.
@@ -216,10 +212,8 @@ def _priors(database: Database, options: MapOptions) -> Priors:
     positions = directions = None
     if options.use_prior_position:
         known = database.local_positions()
-        image = np.flatnonzero(np.isfinite(known).all(axis=1))
-        # the first image of a frame stands for it: receivers err by more than a rig is large
-        frame, first = np.unique(database.image_frame[image], return_index=True)
-        image = image[first]
+        # receivers err by more than a rig is large
+        frame, image = _first_known(database, known)
         if len(image):
             covariance = np.array(database.position_covariance[image])
             # receivers that know nothing of their accuracy leave zeros
@@ -228,15 +222,20 @@ def _priors(database: Database, options: MapOptions) -> Priors:
             covariance[unknown] = np.eye(3) * options.prior_position_sigma**2
             positions = PositionPriors.of(frame, known[image], covariance=covariance)
     if options.use_gravity:
-        image = np.flatnonzero(np.isfinite(database.gravity).all(axis=1))
-        frame, first = np.unique(database.image_frame[image], return_index=True)
-        image = image[first]
+        frame, image = _first_known(database, database.gravity)
         if len(image):
             rig_from_sensor = np.swapaxes(database.sensor_from_rig[database.image_camera[image]], 1, 2)
             up = -np.einsum("nij,nj->ni", rig_from_sensor, database.gravity[image])
             up /= np.linalg.norm(up, axis=1, keepdims=True)
             directions = DirectionPriors.gravity(frame, up, options.gravity_sigma_rad)
     return Priors(positions=positions, directions=directions)
+
+
+def _first_known(database: Database, values: Float) -> tuple[Int, Index]:
+    """Find frames of which something is known; the first image of each that knows it stands for its frame."""
+    image = np.flatnonzero(np.isfinite(values).all(axis=1))
+    frame, first = np.unique(database.image_frame[image], return_index=True)
+    return frame, image[first]
 
 
 #: Matches of a pair that it is oriented by.
@@ -262,18 +261,8 @@ def _orient(n_views: int, views: _Views, matches: _Matches, priors: Priors, opti
     rows = feature[np.concatenate(thin)] if thin else np.empty((0, 2), dtype=np.int64)
     two_view = replace(options.steps.two_view, seed=options.seed)
     found = relative_poses(start, views.bearing[rows[:, 0]], views.bearing[rows[:, 1]], two_view)
-    good = np.array([status is not TwoViewStatus.UNDETERMINED for status in found.status], dtype=np.bool_)
-    variance = np.trace(found.rotation_covariance[good], axis1=1, axis2=2) / 3.0
-    averaged = average_rotations(
-        (pair // n_views)[keep][good],
-        (pair % n_views)[keep][good],
-        found.second_from_first[good],
-        n_views=n_views,
-        sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
-        priors=priors,
-        options=options.steps.orientation,
-    )
-    return ViewOrientations(averaged.cam_from_world, averaged.view_component)
+    joined = np.stack((pair // n_views, pair % n_views), axis=1)[keep].astype(np.int32)
+    return averaged(joined, found, n_views, priors, options.steps.orientation)
 
 
 def _partners(first: Index, second: Index, count: Index, n_views: int, most: int) -> Bool:

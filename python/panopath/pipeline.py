@@ -17,6 +17,7 @@ from panopath.model import (
     Control,
     Float,
     InputError,
+    Int,
     PositionOptions,
     Scene,
     Status,
@@ -31,6 +32,7 @@ from panopath.steps import (
     OrientationOptions,
     RefineOptions,
     TwoViewOptions,
+    TwoViews,
     TwoViewStatus,
     ViewGraphOptions,
     average_rotations,
@@ -173,18 +175,39 @@ def orient_views(
     pairs = view_pairs(tracks, chosen.view_graph)
     matches = pairs.observation
     found = relative_poses(pairs.start, tracks.bearing[matches[:, 0]], tracks.bearing[matches[:, 1]], chosen.two_view)
+    return averaged(pairs.pair, found, tracks.n_views, priors, chosen.orientation)
+
+
+def averaged(
+    pair: Int, found: TwoViews, n_views: int, priors: Priors | None, options: OrientationOptions
+) -> ViewOrientations:
+    """Average the relative rotations of pairs of views, each weighed by its own covariance.
+
+    Parameters
+    ----------
+    pair
+        (n_pairs, 2) views.
+    found
+        Relative pose of each pair; pairs without an answer take no part.
+    n_views
+        Number of views.
+    priors
+        Orientations, directions and headings that are known of some views.
+    options
+        Choices of :func:`panopath.average_rotations`.
+    """
     good = np.array([status is not TwoViewStatus.UNDETERMINED for status in found.status], dtype=np.bool_)
     variance = np.trace(found.rotation_covariance[good], axis1=1, axis2=2) / 3.0
-    averaged = average_rotations(
-        pairs.pair[good, 0],
-        pairs.pair[good, 1],
+    mean = average_rotations(
+        pair[good, 0],
+        pair[good, 1],
         found.second_from_first[good],
-        n_views=tracks.n_views,
+        n_views=n_views,
         sigma_rad=np.maximum(np.sqrt(variance), _LEAST_EDGE_SIGMA_RAD) if good.any() else None,
         priors=priors,
-        options=chosen.orientation,
+        options=options,
     )
-    return ViewOrientations(averaged.cam_from_world, averaged.view_component)
+    return ViewOrientations(mean.cam_from_world, mean.view_component)
 
 
 def place_views(tracks: Tracks, oriented: ViewOrientations, options: PositionOptions | None = None) -> Scene:
