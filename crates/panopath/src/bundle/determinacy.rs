@@ -4,7 +4,7 @@ use super::newton::{CameraStep, NewtonWeights, point_displacement};
 use super::noise::FitSize;
 use super::part::{Lanes, for_each_chunk};
 use super::reduced::Factorised;
-use crate::least_squares::LeastSquaresError;
+use crate::least_squares::{LeastSquaresError, inner};
 
 /// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
 pub(crate) const MEANINGLESS_RAD: f64 = 0.2;
@@ -69,7 +69,7 @@ fn weakest_mode(system: &impl Factorised, gauge: &GaugeBasis) -> Result<Option<M
     let (mut stiffness, mut guard) = (f64::NAN, f64::NAN);
     for _ in 0..INVERSE_ITERATIONS {
         gauge.remove(&mut mode);
-        let length = dot_product(&mode, &mode).sqrt();
+        let length = inner(&mode, &mode).sqrt();
         if length <= 0.0 {
             return Ok(None);
         }
@@ -77,16 +77,16 @@ fn weakest_mode(system: &impl Factorised, gauge: &GaugeBasis) -> Result<Option<M
         let pushed = mode.clone();
         clear_held(system.held(), &mut mode);
         system.solve_for(&mut mode)?;
-        let energy = dot_product(&mode, &pushed);
+        let energy = inner(&mode, &pushed);
         let held: f64 = mode.iter().zip(diagonal).map(|(x, d)| GUARD * d * x * x).sum();
         gauge.remove(&mut mode);
-        let squared = dot_product(&mode, &mode);
+        let squared = inner(&mode, &mode);
         if squared == 0.0 {
             return Ok(None);
         }
         (stiffness, guard) = (energy / squared, held / squared);
     }
-    let length = dot_product(&mode, &mode).sqrt();
+    let length = inner(&mode, &mode).sqrt();
     mode.iter_mut().for_each(|x| *x /= length);
     Ok(Some(Mode { displacement: mode, stiffness, guard }))
 }
@@ -138,9 +138,9 @@ impl GaugeBasis {
         const DEPENDENT: f64 = 1e-9;
         let mut gauge = Self { basis: Vec::new() };
         for mut vector in vectors {
-            let before = dot_product(&vector, &vector).sqrt();
+            let before = inner(&vector, &vector).sqrt();
             gauge.remove(&mut vector);
-            let length = dot_product(&vector, &vector).sqrt();
+            let length = inner(&vector, &vector).sqrt();
             if length > DEPENDENT * before {
                 vector.iter_mut().for_each(|x| *x /= length);
                 gauge.basis.push(vector);
@@ -152,7 +152,7 @@ impl GaugeBasis {
     /// Takes the gauge out of a displacement of all cameras.
     pub fn remove(&self, x: &mut [f64]) {
         for vector in &self.basis {
-            let along = dot_product(x, vector);
+            let along = inner(x, vector);
             x.iter_mut().zip(vector).for_each(|(x, g)| *x -= along * g);
         }
     }
@@ -161,8 +161,4 @@ impl GaugeBasis {
 /// Clears unknowns that are held.
 pub(crate) fn clear_held(held: &[bool], x: &mut [f64]) {
     x.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(x, _)| *x = 0.0);
-}
-
-fn dot_product(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }

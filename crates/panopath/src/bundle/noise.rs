@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::estimate::{Estimate, squared_error};
 use super::part::Part;
+use crate::tracks::Tracks;
 
 /// Smallest noise estimate in radians, so that exact data keeps all its observations.
 pub(crate) const SIGMA_FLOOR_RAD: f64 = 1e-7;
@@ -124,4 +125,11 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The median sigma of the observations, and the precision of each relative to it; `None` where no sigma is given.
+pub(crate) fn precisions<const D: usize>(tracks: &Tracks<D>) -> Option<(f64, Vec<f64>)> {
+    let sigma = tracks.sigma_rad()?;
+    let reference = median(&mut sigma.to_vec());
+    Some((reference, sigma.iter().map(|s| (reference / s).powi(2)).collect()))
 }

@@ -483,7 +483,8 @@ pub fn conjugate_gradients(
     Iterations { count, relative_residual }
 }
 
-fn inner(a: &[f64], b: &[f64]) -> f64 {
+/// Inner product of two long vectors.
+pub(crate) fn inner(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 

@@ -11,7 +11,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use crate::bundle::estimate::Estimate;
-use crate::bundle::noise::median;
+use crate::bundle::noise::precisions;
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::reduced::{ReducedSystem, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
@@ -143,11 +143,7 @@ impl<const D: usize> Rays<D> {
                 views.zip(tracks.bearing()).map(|(&v, b)| world_from_cam[v as usize].apply(b)).collect()
             }
         };
-        let reference = tracks.sigma_rad().map(|sigma| median(&mut sigma.to_vec()));
-        let precision = tracks
-            .sigma_rad()
-            .zip(reference)
-            .map(|(sigma, reference)| sigma.iter().map(|s| (reference / s).powi(2)).collect());
+        let (reference, precision) = precisions(tracks).unzip();
         let parallel_rad = reference.map_or(parts::PARALLEL_RAD, |s| (NOISE_SIGMAS * s).max(parts::PARALLEL_RAD));
         Self { direction, precision, parallel_rad }
     }

@@ -10,7 +10,7 @@
 use rayon::prelude::*;
 
 use super::descent::State;
-use super::gauge::{Gauge, inner, solve_small};
+use super::gauge::{Gauge, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::poses::{PoseRow, Turns, turns};
 use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
@@ -21,7 +21,7 @@ use crate::bundle::reduced::{
     Damping, Factorised, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node,
 };
 use crate::geometry::Matrix;
-use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse};
+use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse, inner};
 use crate::structure::Structure;
 use crate::tracks::Tracks;
 

@@ -177,8 +177,3 @@ pub(super) fn solve_small(mut a: Vec<Vec<f64>>, mut b: Vec<Vec<f64>>, tolerance:
     }
     Some(b)
 }
-
-/// Inner product of two long vectors.
-pub(super) fn inner(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
-}

@@ -13,7 +13,7 @@ use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, weakest_mod
 use crate::bundle::levenberg::Effort;
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::noise::{
-    FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, inliers, median, noise_scale, sigma_of_inliers,
+    FIRST_OUTLIER_SIGMAS, OUTLIER_SIGMAS, chords, inliers, noise_scale, precisions, sigma_of_inliers,
 };
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
@@ -256,7 +256,7 @@ impl<const D: usize> Piece<D> {
         let free = free_unknowns::<D>(&views, &options.held);
         let known_rows = priors.rows(views.len());
         let wanted = free.iter().zip(&known_rows).map(|(free, known)| free.saturating_sub(*known)).collect();
-        let precision = precisions(tracks);
+        let precision = precisions(tracks).map(|(_, precision)| precision);
         let part = Part::new(
             Stations { node: stations.node.clone(), node_freedom: free, gauge_freedom: gauge.dim() },
             tracks.n_tracks(),
@@ -609,13 +609,6 @@ impl<const D: usize> Levers<D> {
         let within = self.node[first..].iter().zip(&self.sensor[first..]);
         (first + within.take_while(|&(&n, &s)| n == node && s < sensor).count()) as u32
     }
-}
-
-/// Precision of each observation relative to the median sigma.
-fn precisions<const D: usize>(tracks: &Tracks<D>) -> Option<Vec<f64>> {
-    let sigma = tracks.sigma_rad()?;
-    let reference = median(&mut sigma.to_vec());
-    Some(sigma.iter().map(|s| (reference / s).powi(2)).collect())
 }
 
 fn turned<const D: usize>(views: &[u32], start: &Structure<D>, start_from_world: &Rotation<D>) -> Vec<Rotation<D>> {
