@@ -1,6 +1,14 @@
 """From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
 
 from panopath import _core
+from panopath.counting import (
+    CameraModel,
+    RequiredVisibility,
+    StructureFromMotionInequality,
+    required_visibility,
+    required_visible_fraction,
+    structure_from_motion_inequality,
+)
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     Database,
@@ -65,6 +73,7 @@ from panopath.synthetic import SyntheticWorld, simulate
 __version__ = _core.__version__
 
 __all__ = [
+    "CameraModel",
     "Control",
     "CorrespondenceOptions",
     "Database",
@@ -90,11 +99,13 @@ __all__ = [
     "ReconstructOptions",
     "Reconstruction",
     "RefineOptions",
+    "RequiredVisibility",
     "Rig",
     "RotationPriors",
     "Scene",
     "SceneCovariance",
     "Status",
+    "StructureFromMotionInequality",
     "Summary",
     "SyntheticWorld",
     "Tracks",
@@ -125,9 +136,12 @@ __all__ = [
     "refine",
     "relative_pose",
     "relative_poses",
+    "required_visibility",
+    "required_visible_fraction",
     "scene_covariance",
     "simulate",
     "solve_positions",
+    "structure_from_motion_inequality",
     "tracks_from_matches",
     "view_pairs",
     "write_models",
