@@ -1,17 +1,19 @@
 """What counting cannot see: how much a scene in general position leaves free, in exact arithmetic.
 
-The derivative of all observations by all unknowns, at a random scene over the integers modulo a prime. Its rank is that of
-almost every scene (it can only be smaller, with a probability of about one in a million), and there is no tolerance
-to choose. Nullity less gauge are the freedoms that almost every scene has beyond the gauge: 0 where the count is enough.
+The derivative of all observations by all unknowns, at a random scene over the integers modulo a prime. Its rank is that
+of almost every scene (it can only be smaller, with a probability of about one in a million), and there is no tolerance
+to choose. Nullity less gauge are the freedoms that almost every scene has beyond the gauge: 0 where counting is enough.
 
-A point ``x`` seen from ``c`` moves by ``dx - dc``, in a camera that turns by ``omega`` by ``omega x (x - c)`` more; the rows of
-``across(u)`` take away what lies along the ray ``u``. The orientation itself does not change the rank. Orthographic views have
-``u = M x + t`` in the picture, with M the first rows of a rotation.
+A point ``x`` seen from ``c`` moves by ``dx - dc``, in a camera that turns by ``omega`` also by ``omega x (x - c)``; the
+rows of ``across(u)`` take away what lies along the ray ``u``. The orientation itself does not change the rank.
+Orthographic views have ``u = M x + t`` in the picture, with M the first rows of a rotation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +27,7 @@ Bool = npt.NDArray[np.bool_]
 PRIME = 2**29 - 3
 
 
-def extra_freedoms(
+def extra_freedoms(  # noqa: PLR0917
     model: pp.CameraModel, n: int, m: int, k: int = 0, basis: PathBasis = None, seen: Bool | None = None, seed: int = 1
 ) -> int:
     """Freedoms beyond the gauge of n points and m views in general position; ``seen`` is (m, n), default everything."""
@@ -70,6 +72,11 @@ def rank(matrix: Int64) -> int:
         if done == len(left):
             break
     return done
+
+
+class _View(Protocol):
+    def derivative(self, point: Int64) -> tuple[Int64, Int64, Int64]:
+        """Rows by the point, by the unknowns of the view, by those that all views share."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +128,11 @@ class _Projective:
         return across @ self.matrix[:, :3] % PRIME, np.kron(across, whole) % PRIME, np.zeros((2, 0), np.int64)
 
 
+#: Generators of the turns about x, y and z, and of the one turn of the plane.
 _AXES = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
 )
+_PLANE = np.array([[[0, -1], [1, 0]]])
 
 
 def _oriented(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
@@ -131,7 +140,7 @@ def _oriented(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
 
 
 def _turning(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
-    turns = np.array([[[0, -1], [1, 0]]]) if model.d == 2 else _AXES
+    turns = _PLANE if model.d == 2 else _AXES
     return _Central(_random(rng, model.d), turns, np.zeros(0, np.int64))
 
 
@@ -145,7 +154,7 @@ def _zooming(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
 
 def _orthographic(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
     d = model.d
-    turns = np.array([[[0, -1], [1, 0]]]) if d == 2 else _AXES
+    turns = _PLANE if d == 2 else _AXES
     projection = _rotation(rng, d)[: d - 1]
     changes = projection @ turns % PRIME
     if model is pp.CameraModel.SCALED_ORTHOGRAPHIC_SPACE:
@@ -162,7 +171,7 @@ def _uncalibrated(rng: np.random.Generator, _: pp.CameraModel) -> _Projective:
     return _Projective(_random(rng, 3, 4))
 
 
-_VIEWS = {
+_VIEWS: dict[pp.CameraModel, Callable[[np.random.Generator, pp.CameraModel], _View]] = {
     pp.CameraModel.ORIENTED_PLANE: _oriented,
     pp.CameraModel.ORIENTED_SPACE: _oriented,
     pp.CameraModel.NON_ORIENTED_PLANE: _turning,
@@ -206,7 +215,7 @@ def _functions(rng: np.random.Generator, m: int, vectors: int, basis: PathBasis)
 
 
 def _rotation(rng: np.random.Generator, d: int) -> Int64:
-    """Cayley's map from antisymmetric matrices, without its denominator: rows orthogonal, and all of the same length."""
+    """Cayley's map from antisymmetric matrices, without its denominator: orthogonal rows of equal length."""
     if d == 2:
         a, b = _random(rng, 2).tolist()
         rows = [[a * a - b * b, -2 * a * b], [2 * a * b, a * a - b * b]]

@@ -1,4 +1,4 @@
-"""Counting: have n points and m views as many equations as unknowns?
+"""Counting: whether n points and m views have as many equations as unknowns.
 
 The structure-from-motion inequality (Knill and Ramirez-Herran 2007, section 3, with the corrections of
 ``docs/method/counting.md``; its general form is theirs too, arXiv 0708.2432):
@@ -16,9 +16,9 @@ Each observation gives d - 1 equations. With a = d - 1, b = d K, c = g - h and e
 
 so the pairs that have too few equations are bounded by a hyperbola.
 
-**Necessary, never sufficient.** Where the inequality fails, no algorithm finds the scene. Where it holds, the scene may still
-be ambiguous (points and views on one conic, two orthographic views, parts that share too little): the certificate of the scene
-decides, not the count.
+**Necessary, never sufficient.** Where the inequality fails, no algorithm finds the scene. Where it holds, the scene may
+still be ambiguous (points and views on one conic, two orthographic views, parts that share too little): the certificate
+of the scene decides, not the count.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class StructureFromMotionInequality:
 
 @dataclass(frozen=True)
 class RequiredVisibility:
-    """How many observations a scene needs at least. Necessary, never sufficient: what is seen must hang together too."""
+    """How many observations a scene needs at least. Necessary, never sufficient: they must hang together too."""
 
     n: int
     m: int
@@ -156,8 +156,8 @@ def structure_from_motion_inequality(  # noqa: PLR0917 (the public names and the
     k
         Order of the path of each point: 0 at rest, 1 with a velocity, ...
     basis
-        ``"taylor"`` (the same as None): ``k + 1`` vectors a point. ``"fourier"``: ``2 k + 1``. A number: that many functions
-        a point, splines for instance; ``k`` is then 0.
+        ``"taylor"`` (the same as None): ``k + 1`` vectors a point. ``"fourier"``: ``2 k + 1``. A number: that many
+        functions a point, splines for instance; ``k`` is then 0.
     n_observations
         Pairs of a view and a point that it sees; default: all ``n m``.
 
@@ -206,16 +206,15 @@ def path_vectors(k: int = 0, basis: PathBasis = None) -> int:
 def moving_gauge(d: int, g: int, k: int = 0, basis: PathBasis = None) -> int:
     """Gauge freedoms where points move: all points and views may share any motion along the basis.
 
-    A common translation has d unknowns for each function of the basis, not d in all; scale and turn stay constant. With points
-    at rest it is ``g``. One point known to be at rest takes the difference away again, and its d (K - 1) unknowns too, so the
-    count is the same. A scene whose points are all at rest, solved as if they moved, has freedoms beyond these: its scale
-    may change with time.
+    A common translation has d unknowns for each function of the basis, not d in all; scale and turn stay constant. With
+    points at rest it is ``g``. One point known to be at rest takes the difference away, and its d (K - 1) unknowns too,
+    so that the count is the same. A scene whose points are all at rest, solved as if they moved, has freedoms beyond
+    these: its scale may change with time.
 
     Returns
     -------
     int
-        ``g + d (K - 1)``: exact where ``g`` counts translations, turns and scale (or an affine map), an upper bound where
-        it counts a projective map, so that the inequality stays necessary.
+        ``g + d (K - 1)``: exact where ``g`` counts translations, turns and scale, or affine maps.
 
     Raises
     ------
@@ -226,10 +225,10 @@ def moving_gauge(d: int, g: int, k: int = 0, basis: PathBasis = None) -> int:
 
 
 def smallest(d: int, f: int, g: int, h: int = 0, k: int = 0, basis: PathBasis = None) -> tuple[PointsAndViews, ...]:
-    """Find the fewest points and views, everything seen: with fewer of either, and no more of the other, the count fails.
+    """Find the fewest points and views, everything seen: none of these pairs can do with fewer points or fewer views.
 
-    Only settled pairs, from which more points or views cannot lead back to too few equations; so not the single ray that
-    passes the count because the gauge takes all its unknowns. Necessary, never sufficient.
+    Only settled pairs, from which more points or views cannot lead back to too few equations; so not the single ray
+    that passes the count because the gauge takes all its unknowns. Necessary, never sufficient.
 
     Parameters
     ----------
@@ -264,14 +263,14 @@ def smallest(d: int, f: int, g: int, h: int = 0, k: int = 0, basis: PathBasis = 
         m = _partner(b, gap, a * (n - 1) - f, a)
 
 
-def required_visibility(
+def required_visibility(  # noqa: PLR0917 (as structure_from_motion_inequality)
     d: int, f: int, g: int, h: int, n: int, m: int, k: int = 0, basis: PathBasis = None
 ) -> RequiredVisibility:
     """Count the observations that n points and m views need at least. Necessary, never sufficient.
 
-    Three bounds: of all unknowns together; of each point, which needs as many equations as it has unknowns; of each view
-    likewise. With many points and views the second or third is the largest: in space a point has 3 unknowns and a ray 2
-    equations, so that each is needed in two views, though counting all together asks for one and a half.
+    Three bounds: of all unknowns together; of each point, which needs as many equations as it has unknowns; of each
+    view likewise. With many points and views the second or third is the largest: in space a point has 3 unknowns and a
+    ray 2 equations, so that each is needed in two views, though counting all together asks for one and a half.
 
     Parameters
     ----------
@@ -296,13 +295,14 @@ def required_visibility(
     return RequiredVisibility(full.n, full.m, in_total, per_point, per_view)
 
 
-def required_visible_fraction(
+def required_visible_fraction(  # noqa: PLR0917 (as structure_from_motion_inequality)
     d: int, f: int, g: int, h: int, n: int, m: int, k: int = 0, basis: PathBasis = None
 ) -> float:
     """Share of all pairs that must be seen for as many equations as unknowns. Necessary, never sufficient.
 
-    The paper's count (section 5), corrected: ``(d K n + f m + h - g) / ((d - 1) n m)``, which is ``(2 (n + m) - 3) / (n m)``
-    in the plane and ``(3 (n + m) - 4) / (2 n m)`` in space. :func:`required_visibility` knows stricter bounds.
+    The paper's count (section 5), corrected: ``(d K n + f m + h - g) / ((d - 1) n m)``. With known orientations that is
+    ``(2 (n + m) - 3) / (n m)`` in the plane and ``(3 (n + m) - 4) / (2 n m)`` in space. :func:`required_visibility`
+    knows stricter bounds.
 
     Parameters
     ----------
@@ -368,8 +368,8 @@ class CameraModel(StrEnum):
     def gauge(self, k: int = 0, basis: PathBasis = None) -> int:
         """Gauge freedoms where points move along a basis: :func:`moving_gauge`."""
         # a projective map takes a path out of the basis, an affine one does not
-        keeps_paths = self is not CameraModel.PROJECTIVE_SPACE or path_vectors(k, basis) == 1
-        return moving_gauge(self.d, self.g if keeps_paths else CameraModel.AFFINE_SPACE.g, k, basis)
+        bends = self is CameraModel.PROJECTIVE_SPACE and path_vectors(k, basis) > 1
+        return moving_gauge(self.d, self.d * (self.d + 1) if bends else self.g, k, basis)
 
     def inequality(
         self, n: int, m: int, k: int = 0, basis: PathBasis = None, *, n_observations: int | None = None
@@ -389,7 +389,7 @@ class CameraModel(StrEnum):
         return required_visibility(self.d, self.f, self.gauge(k, basis), self.h, n, m, k, basis)
 
 
-def inequality_table(
+def inequality_table(  # noqa: PLR0917 (as structure_from_motion_inequality)
     d: int,
     f: int,
     g: int,
@@ -483,7 +483,5 @@ def _plural(count: int, noun: str) -> str:
 
 
 def _markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return (
-        "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---").replace("--- |", "---|")
-    )
+    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
