@@ -34,20 +34,21 @@ def extra_freedoms(  # noqa: PLR0917
     views, free_of_image = _VIEWS[model], model is pp.CameraModel.PROJECTIVE_SPACE
     rng = np.random.default_rng(seed)
     vectors = path_vectors(k, basis)
-    paths = _random(rng, n, vectors, model.d)
+    d, f, _, h = model.counts
+    paths = _random(rng, n, vectors, d)
     functions = _functions(rng, m, vectors, basis)
     # a camera matrix has one unknown more than a camera, its length
-    f = model.f + int(free_of_image)
-    n_of_points = model.d * vectors * n
-    unknowns = n_of_points + f * m + model.h
+    f = f + int(free_of_image)
+    n_of_points = d * vectors * n
+    unknowns = n_of_points + f * m + h
     rows = [np.zeros((0, unknowns), dtype=np.int64)]
     for i in range(m):
         view = views(rng, model)
         for j in range(n) if seen is None else np.flatnonzero(seen[i]).tolist():
             by_point, by_view, by_all = view.derivative(functions[i] @ paths[j] % PRIME)
-            row = np.zeros((model.d - 1, unknowns), dtype=np.int64)
-            start = model.d * vectors * j
-            row[:, start : start + model.d * vectors] = np.kron(functions[i], by_point) % PRIME
+            row = np.zeros((d - 1, unknowns), dtype=np.int64)
+            start = d * vectors * j
+            row[:, start : start + d * vectors] = np.kron(functions[i], by_point) % PRIME
             row[:, n_of_points + f * i : n_of_points + f * (i + 1)] = by_view
             row[:, n_of_points + f * m :] = by_all
             rows.append(row)
@@ -136,24 +137,26 @@ _PLANE = np.array([[[0, -1], [1, 0]]])
 
 
 def _oriented(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
-    return _Central(_random(rng, model.d), np.zeros((0, model.d, model.d), np.int64), np.zeros(0, np.int64))
+    return _Central(
+        _random(rng, model.counts.d), np.zeros((0, model.counts.d, model.counts.d), np.int64), np.zeros(0, np.int64)
+    )
 
 
 def _turning(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
-    turns = _PLANE if model.d == 2 else _AXES
-    return _Central(_random(rng, model.d), turns, np.zeros(0, np.int64))
+    turns = _PLANE if model.counts.d == 2 else _AXES
+    return _Central(_random(rng, model.counts.d), turns, np.zeros(0, np.int64))
 
 
 def _upright(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
-    return _Central(_random(rng, model.d), _AXES[2:], np.zeros(0, np.int64))
+    return _Central(_random(rng, model.counts.d), _AXES[2:], np.zeros(0, np.int64))
 
 
 def _zooming(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
-    return _Central(_random(rng, model.d), _AXES, _random(rng, model.d))
+    return _Central(_random(rng, model.counts.d), _AXES, _random(rng, model.counts.d))
 
 
 def _orthographic(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
-    d = model.d
+    d = model.counts.d
     turns = _PLANE if d == 2 else _AXES
     projection = _rotation(rng, d)[: d - 1]
     changes = projection @ turns % PRIME
@@ -163,8 +166,8 @@ def _orthographic(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
 
 
 def _affine(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
-    changes = np.eye(2 * model.d, dtype=np.int64).reshape(-1, 2, model.d)
-    return _Flat(_random(rng, 2, model.d), changes)
+    changes = np.eye(2 * model.counts.d, dtype=np.int64).reshape(-1, 2, model.counts.d)
+    return _Flat(_random(rng, 2, model.counts.d), changes)
 
 
 def _uncalibrated(rng: np.random.Generator, _: pp.CameraModel) -> _Projective:

@@ -39,6 +39,19 @@ PathBasis = Literal["taylor", "fourier"] | int | None
 _MOST_PAIRS = 100_000
 
 
+class CameraCounts(NamedTuple):
+    """What the inequality asks of a kind of cameras: the first arguments of the functions here."""
+
+    #: Dimension.
+    d: int
+    #: Unknowns of a view.
+    f: int
+    #: Gauge freedoms of points at rest.
+    g: int
+    #: Unknowns that all views share.
+    h: int
+
+
 class PointsAndViews(NamedTuple):
     """A number of points and a number of views."""
 
@@ -224,7 +237,9 @@ def moving_gauge(d: int, g: int, k: int = 0, basis: PathBasis = None) -> int:
     return _whole("g", g, 0) + _whole("d", d, 2) * (path_vectors(k, basis) - 1)
 
 
-def smallest(d: int, f: int, g: int, h: int = 0, k: int = 0, basis: PathBasis = None) -> tuple[PointsAndViews, ...]:
+def smallest(  # noqa: PLR0917 (as structure_from_motion_inequality)
+    d: int, f: int, g: int, h: int = 0, k: int = 0, basis: PathBasis = None
+) -> tuple[PointsAndViews, ...]:
     """Find the fewest points and views, everything seen: none of these pairs can do with fewer points or fewer views.
 
     Only settled pairs, from which more points or views cannot lead back to too few equations; so not the single ray
@@ -329,64 +344,79 @@ class CameraModel(StrEnum):
     Where points move, the methods take the gauge of moving points (:func:`moving_gauge`).
     """
 
-    d: int
-    f: int
-    g: int
-    h: int
-    description: str
-
     #: Centre unknown, heading known (section 4).
-    ORIENTED_PLANE = "oriented_plane", 2, 2, 3, 0, "plane, orientation known"
+    ORIENTED_PLANE = "oriented_plane"
     #: Centre unknown, orientation known (section 5).
-    ORIENTED_SPACE = "oriented_space", 3, 3, 4, 0, "space, orientation known"
+    ORIENTED_SPACE = "oriented_space"
     #: Centre and heading (section 7).
-    NON_ORIENTED_PLANE = "non_oriented_plane", 2, 3, 4, 0, "plane, orientation unknown"
+    NON_ORIENTED_PLANE = "non_oriented_plane"
     #: Centre and orientation (section 7); any calibrated central camera.
-    NON_ORIENTED_SPACE = "non_oriented_space", 3, 6, 7, 0, "space, orientation unknown"
+    NON_ORIENTED_SPACE = "non_oriented_space"
     #: Centre and the turn about a known vertical (section 7, remark 2).
-    GRAVITY_SPACE = "gravity_space", 3, 4, 5, 0, "space, vertical known"
+    GRAVITY_SPACE = "gravity_space"
     #: Orthogonal projection onto a line at unknown angle: a turn and an offset; the gauge has no scale (section 2).
-    ORTHOGRAPHIC_PLANE = "orthographic_plane", 2, 2, 3, 0, "plane, orthographic"
+    ORTHOGRAPHIC_PLANE = "orthographic_plane"
     #: Orthogonal projection onto a plane: three turns and two offsets; the gauge has no scale (section 2).
-    ORTHOGRAPHIC_SPACE = "orthographic_space", 3, 5, 6, 0, "space, orthographic"
+    ORTHOGRAPHIC_SPACE = "orthographic_space"
     #: The same with a scale of each view: what spherical cameras become far away.
-    SCALED_ORTHOGRAPHIC_SPACE = "scaled_orthographic_space", 3, 6, 7, 0, "space, scaled orthographic"
+    SCALED_ORTHOGRAPHIC_SPACE = "scaled_orthographic_space"
     #: Any affine map from space to the picture; the gauge is an affine map of space.
-    AFFINE_SPACE = "affine_space", 3, 8, 12, 0, "space, affine"
+    AFFINE_SPACE = "affine_space"
     #: Perspective views that share one unknown focal length.
-    SHARED_FOCAL_SPACE = "shared_focal_space", 3, 6, 7, 1, "space, one unknown focal length"
+    SHARED_FOCAL_SPACE = "shared_focal_space"
     #: Perspective views of which nothing is known; the gauge is a projective map of space.
-    PROJECTIVE_SPACE = "projective_space", 3, 11, 15, 0, "space, uncalibrated"
+    PROJECTIVE_SPACE = "projective_space"
 
-    def __new__(cls, value: str, d: int, f: int, g: int, h: int, description: str) -> CameraModel:  # noqa: PLR0917
-        """Attach the counts to the name."""
-        member = str.__new__(cls, value)
-        member._value_ = value
-        member.d, member.f, member.g, member.h, member.description = d, f, g, h, description
-        return member
+    @property
+    def counts(self) -> CameraCounts:
+        """What the inequality asks, points at rest: ``structure_from_motion_inequality(*model.counts, n, m)``."""
+        return _KINDS[self][0]
+
+    @property
+    def description(self) -> str:
+        """For people."""
+        return _KINDS[self][1]
 
     def gauge(self, k: int = 0, basis: PathBasis = None) -> int:
         """Gauge freedoms where points move along a basis: :func:`moving_gauge`."""
         # a projective map takes a path out of the basis, an affine one does not
+        d, _, g, _ = self.counts
         bends = self is CameraModel.PROJECTIVE_SPACE and path_vectors(k, basis) > 1
-        return moving_gauge(self.d, self.d * (self.d + 1) if bends else self.g, k, basis)
+        return moving_gauge(d, d * (d + 1) if bends else g, k, basis)
+
+    def moving_counts(self, k: int = 0, basis: PathBasis = None) -> CameraCounts:
+        """d, f, g and h where points move along a basis."""
+        return self.counts._replace(g=self.gauge(k, basis))
 
     def inequality(
         self, n: int, m: int, k: int = 0, basis: PathBasis = None, *, n_observations: int | None = None
     ) -> StructureFromMotionInequality:
         """Compare equations with unknowns: :func:`structure_from_motion_inequality`. Necessary, never sufficient."""
-        g = self.gauge(k, basis)
-        return structure_from_motion_inequality(
-            self.d, self.f, g, self.h, n, m, k, basis, n_observations=n_observations
-        )
+        counts = self.moving_counts(k, basis)
+        return structure_from_motion_inequality(*counts, n, m, k, basis, n_observations=n_observations)
 
     def smallest(self, k: int = 0, basis: PathBasis = None) -> tuple[PointsAndViews, ...]:
         """Fewest points and views: :func:`smallest`. Necessary, never sufficient."""
-        return smallest(self.d, self.f, self.gauge(k, basis), self.h, k, basis)
+        return smallest(*self.moving_counts(k, basis), k, basis)
 
     def required_visibility(self, n: int, m: int, k: int = 0, basis: PathBasis = None) -> RequiredVisibility:
         """Fewest observations: :func:`required_visibility`. Necessary, never sufficient."""
-        return required_visibility(self.d, self.f, self.gauge(k, basis), self.h, n, m, k, basis)
+        return required_visibility(*self.moving_counts(k, basis), n, m, k, basis)
+
+
+_KINDS = {
+    CameraModel.ORIENTED_PLANE: (CameraCounts(2, 2, 3, 0), "plane, orientation known"),
+    CameraModel.ORIENTED_SPACE: (CameraCounts(3, 3, 4, 0), "space, orientation known"),
+    CameraModel.NON_ORIENTED_PLANE: (CameraCounts(2, 3, 4, 0), "plane, orientation unknown"),
+    CameraModel.NON_ORIENTED_SPACE: (CameraCounts(3, 6, 7, 0), "space, orientation unknown"),
+    CameraModel.GRAVITY_SPACE: (CameraCounts(3, 4, 5, 0), "space, vertical known"),
+    CameraModel.ORTHOGRAPHIC_PLANE: (CameraCounts(2, 2, 3, 0), "plane, orthographic"),
+    CameraModel.ORTHOGRAPHIC_SPACE: (CameraCounts(3, 5, 6, 0), "space, orthographic"),
+    CameraModel.SCALED_ORTHOGRAPHIC_SPACE: (CameraCounts(3, 6, 7, 0), "space, scaled orthographic"),
+    CameraModel.AFFINE_SPACE: (CameraCounts(3, 8, 12, 0), "space, affine"),
+    CameraModel.SHARED_FOCAL_SPACE: (CameraCounts(3, 6, 7, 1), "space, one unknown focal length"),
+    CameraModel.PROJECTIVE_SPACE: (CameraCounts(3, 11, 15, 0), "space, uncalibrated"),
+}
 
 
 def inequality_table(  # noqa: PLR0917 (as structure_from_motion_inequality)
@@ -434,8 +464,7 @@ def models_text(models: Iterable[CameraModel] = CameraModel, k: int = 0, basis: 
     cells = []
     for model in models:
         pairs = ", ".join(f"({n}, {m})" for n, m in model.smallest(k, basis))
-        counts = (model.d, model.f, model.gauge(k, basis), model.h)
-        cells.append((model.description, *(str(count) for count in counts), pairs))
+        cells.append((model.description, *(str(count) for count in model.moving_counts(k, basis)), pairs))
     return _markdown(head, cells)
 
 
