@@ -28,14 +28,25 @@ PRIME = 2**29 - 3
 
 
 def extra_freedoms(  # noqa: PLR0917
-    model: pp.CameraModel, n: int, m: int, k: int = 0, basis: PathBasis = None, seen: Bool | None = None, seed: int = 1
+    model: pp.CameraModel,
+    n: int,
+    m: int,
+    k: int = 0,
+    basis: PathBasis = None,
+    seen: Bool | None = None,
+    n_still: int = 0,
+    seed: int = 1,
 ) -> int:
-    """Freedoms beyond the gauge of n points and m views in general position; ``seen`` is (m, n), default everything."""
+    """Freedoms beyond the gauge of n points and m views in general position.
+
+    ``seen`` is (m, n), by default everything. The first ``n_still`` points are at rest, which is not known.
+    """
     views, free_of_image = _VIEWS[model], model is pp.CameraModel.PROJECTIVE_SPACE
     rng = np.random.default_rng(seed)
     vectors = path_vectors(k, basis)
     d, f, _, h = model.counts
     paths = _random(rng, n, vectors, d)
+    paths[:n_still, 1:] = 0
     functions = _functions(rng, m, vectors, basis)
     # a camera matrix has one unknown more than a camera, its length
     f = f + int(free_of_image)
