@@ -94,8 +94,8 @@ def print_agreement() -> None:
     print("| camera | pairs that fail | of these determined | pairs that pass | of these ambiguous |")
     print("|---|---|---|---|---|")
     for model in pp.CameraModel:
-        free = {pair: extra_freedoms(model, *pair) for pair in product(range(1, 9), repeat=2)}
-        holds = {pair: model.inequality(*pair).holds for pair in free}
+        free = {(n, m): extra_freedoms(model, n, m) for n, m in product(range(1, 9), repeat=2)}
+        holds = {(n, m): model.inequality(n, m).holds for n, m in free}
         fail, ok = [p for p in free if not holds[p]], [p for p in free if holds[p]]
         determined, ambiguous = sum(free[p] <= 0 for p in fail), sum(free[p] > 0 for p in ok)
         print(f"| {model.description} | {len(fail)} | {determined} | {len(ok)} | {ambiguous} |")

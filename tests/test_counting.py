@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,10 @@ from panopath.counting import (
 )
 from panopath.report import Region, draw_forbidden_regions
 
+from docs import figures_counting as figures
 from docs.generic_rank import extra_freedoms
+
+PAGE = Path(__file__).parent.parent / "docs" / "method" / "counting.md"
 
 Model = pp.CameraModel
 Camera = tuple[int, int, int, int]
@@ -192,9 +196,7 @@ def test_scenes_that_are_determined_have_the_visibility_required(model: Model) -
         needed = model.required_visibility(n, m)
         for _ in range(60):
             count = int(rng.integers(max(needed.n_observations - 3, 1), min(needed.n_observations + 8, n * m) + 1))
-            seen = np.zeros(n * m, dtype=np.bool_)
-            seen[rng.permutation(n * m)[:count]] = True
-            seen = seen.reshape(m, n)
+            seen = (rng.permutation(n * m) < count).reshape(m, n)
             if extra_freedoms(model, n, m, seen=seen) == 0:
                 assert count >= needed.n_observations
                 assert seen.sum(axis=0).min() >= needed.per_point
@@ -347,9 +349,7 @@ def test_tables() -> None:
 
 
 def test_every_table_of_the_page_is_what_is_computed(capsys: pytest.CaptureFixture[str]) -> None:
-    from docs import figures_counting as figures  # noqa: PLC0415 (needs the page's own figures only here)
-
-    page = (Path(__file__).parent.parent / "docs" / "method" / "counting.md").read_text(encoding="utf-8").splitlines()
+    page = PAGE.read_text(encoding="utf-8").splitlines()
     figures.print_models()
     figures.print_paths()
     figures.print_visibility()
@@ -358,6 +358,17 @@ def test_every_table_of_the_page_is_what_is_computed(capsys: pytest.CaptureFixtu
     computed += table_text(inequality_table(*Model.ORIENTED_PLANE.counts, figures.PLANE_PAIRS)).splitlines()
     assert len(computed) > 40
     assert [line for line in computed if line not in page] == []
+
+
+def test_code_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="the extra 'plot' is absent")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    namespace: dict[str, object] = {}
+    for block in blocks:
+        exec(compile(block, PAGE.name, "exec"), namespace)
+    assert len(blocks) == 2
+    assert (tmp_path / "gravity.png").exists()
 
 
 def test_pictures(tmp_path: Path) -> None:

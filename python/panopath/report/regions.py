@@ -1,6 +1,6 @@
 """Pictures of counting: numbers of points and views that have too few equations (extra ``plot``).
 
-The forbidden regions of the 2007 paper (sections 3 and 7), for any camera. Necessary, never sufficient: outside the
+The forbidden regions of the 2007 paper (sections 4 and 7), for any camera. Necessary, never sufficient: outside the
 region a scene may still be ambiguous, and its certificate decides.
 """
 
