@@ -382,6 +382,7 @@ def test_pictures(tmp_path: Path) -> None:
     assert "necessary, never sufficient" in text
     with pytest.raises(pp.InputError, match="regions is empty"):
         draw_forbidden_regions(tmp_path / "none.png", [])
-    with pytest.raises(pp.InputError, match="largest is 1, expected 2 to 60"):
-        draw_forbidden_regions(tmp_path / "none.png", largest=1)
+    for largest in (1, 61, 4.5, float("nan"), None):
+        with pytest.raises(pp.InputError, match=f"largest is {largest}, expected a whole number from 2 to 60"):
+            draw_forbidden_regions(tmp_path / "none.png", largest=largest)  # type: ignore[arg-type]
     assert not (tmp_path / "none.png").exists()

@@ -33,7 +33,9 @@ _COLUMNS = 4
 #: Points and views drawn at most: beyond, cells are too small to see.
 _LARGEST = 60
 #: Smallest pairs named in a title.
-_MOST_PAIRS = 6
+_MOST_PAIRS = 5
+#: Lines between cells up to here; more would only grey the picture.
+_MOST_LINES = 24
 _FORBIDDEN_COLOUR = "#5b5f66"
 _SINGLE_COLOUR = "#d9d5cc"
 _SMALLEST_COLOUR = "#d9480f"
@@ -87,8 +89,8 @@ def draw_forbidden_regions(
     panels = [Region.of(model) for model in CameraModel] if regions is None else list(regions)
     if not panels:
         raise InputError("regions is empty, expected at least one")
-    if not 2 <= largest <= _LARGEST:
-        raise InputError(f"largest is {largest}, expected 2 to {_LARGEST}")
+    if largest not in range(2, _LARGEST + 1):
+        raise InputError(f"largest is {largest!r}, expected a whole number from 2 to {_LARGEST}")
     figure = _draw(figure_class, panels, largest)
     written = Path(path)
     metadata = {"Software": None} if written.suffix == ".png" else None
@@ -135,7 +137,7 @@ def _draw_region(panel: Any, region: Region, largest: int, colours: Any) -> None
     panel.pcolormesh(edges, edges, single, cmap=_one_colour(_SINGLE_COLOUR), vmin=0.0, vmax=1.0)
     fraction = np.ma.masked_where(~settled, _fractions(region, largest))
     panel.pcolormesh(edges, edges, fraction, cmap=colours, vmin=0.0, vmax=1.0)
-    for edge in edges[1:-1]:
+    for edge in edges[1:-1] if largest <= _MOST_LINES else ():
         panel.axhline(edge, color="white", linewidth=0.4, alpha=0.35)
         panel.axvline(edge, color="white", linewidth=0.4, alpha=0.35)
     border = [(c.n, c.m) for row in cells for c in row if c.is_settled and c.slack == 0]
@@ -172,7 +174,7 @@ def _legend_handles(colours: Any) -> list[Any]:
     dot = {"linestyle": "none", "marker": "o", "color": "white"}
     return [
         artists.Patch(color=_FORBIDDEN_COLOUR, label="too few equations"),
-        artists.Patch(color=_SINGLE_COLOUR, label="the gauge takes all unknowns:\none point more and it fails"),
+        artists.Patch(color=_SINGLE_COLOUR, label="the gauge takes the unknowns:\nmore points, and it fails"),
         artists.Patch(color=colours(0.7), label="enough equations:\nnecessary, never sufficient"),
         artists.Line2D([], [], **dot, markeredgecolor="#999999", markersize=4, label="not one to spare"),
         artists.Line2D(
