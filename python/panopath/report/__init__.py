@@ -1,5 +1,6 @@
 """What a person looks at."""
 
 from panopath.report.pictures import draw_scene
+from panopath.report.regions import Region, draw_forbidden_regions
 
-__all__ = ["draw_scene"]
+__all__ = ["Region", "draw_forbidden_regions", "draw_scene"]
