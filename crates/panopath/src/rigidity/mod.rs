@@ -400,7 +400,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         let modes = analysis.modes(self.null_below)?;
         let n_null = modes.iter().take_while(|mode| mode.value < self.null_below).count();
         let slides: Vec<usize> =
-            (0..frame.part.n_tracks()).filter(|&j| frame.is_parallel(j, self.parallel_below())).collect();
+            (0..frame.part.n_tracks()).filter(|&j| frame.slides(j, self.parallel_below())).collect();
         self.nullity += gauge.len() + n_null + slides.len();
         self.note_gap(&modes[..n_null], modes.get(n_null));
         for &j in &slides {
@@ -416,7 +416,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             }
             return Ok(());
         }
-        let own = stretch::components::<D, W>(&frame, &modes[..n_null], self.parallel_below());
+        let own = stretch::components::<D, W>(&frame, &modes[..n_null], &slides);
         let found = self.add_components(&frame, &own);
         self.report_null_modes::<W>(&frame, &modes[..n_null], &own, &found, &slides);
         for component in found {
@@ -425,7 +425,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         Ok(())
     }
 
-    /// Rays nearer to parallel fix no distance.
+    /// Views nearer to one line with their point fix no distance.
     fn parallel_below(&self) -> f64 {
         PARALLEL.max(self.null_below)
     }
