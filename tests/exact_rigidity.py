@@ -1,21 +1,23 @@
 """Bearing rigidity in exact arithmetic: how much is free, and what moves as one.
 
-View i at C_i sees point j at X_j along u = X_j - C_i. A motion (dC, dX, and a turn of each view, omega = sum w_t G_t with
-skew G_t, as far as orientations are unknown) leaves the bearing as it is iff
+View i at C_i sees point j at X_j along u = X_j - C_i. A motion (dC, dX, and a turn of each view, omega = sum w_t G_t
+with skew G_t, as far as orientations are unknown) leaves the bearing as it is iff
 
     dX_j - dC_i - omega_i u = lambda u   for a number lambda, the stretch of the ray,
 
-so a . (dX_j - dC_i - omega_i u) = 0 for the d - 1 vectors a that span what is orthogonal to u. Coordinates are fractions,
-so this is a linear system over the rationals. Its rank is taken modulo a prime, where no number is small by chance and
-none is rounded; a prime divides a minor that is not zero with a probability near 1/p, and a second prime is asked too.
+so a . (dX_j - dC_i - omega_i u) = 0 for the d - 1 vectors a that span what is orthogonal to u. Coordinates are
+fractions, so this is a linear system over the rationals. Its rank is taken modulo a prime, where no number is small by
+chance and none is rounded; a prime divides a minor that is not zero with a probability near 1/p, and a second prime is
+asked too.
 
 Each observation has, for every motion of a basis, the similarity by which it moves: stretch, turn and shift, the latter
-tau = dC - lambda C - omega C at either end of the ray. Observations are in one rigid component iff these are equal for all
-motions: then, and then only, are all their members determined up to one common similarity.
+tau = dC - lambda C - omega C at either end of the ray. Observations are in one rigid component iff these are equal for
+all motions: then, and then only, are all their members determined up to one common similarity.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -59,7 +61,7 @@ def turn_generators(d: int, orientation: OrientationModel) -> Residues:
 
 
 def exact_rigidity(
-    views: list[Position], points: list[Position], rays: list[Ray], orientation: OrientationModel
+    views: Sequence[Position], points: Sequence[Position], rays: Sequence[Ray], orientation: OrientationModel
 ) -> Rigidity:
     """Nullity and rigid components of a configuration; a view must not stand at a point that it sees.
 
@@ -75,7 +77,7 @@ def exact_rigidity(
 
 
 def _modulo(
-    p: int, views: list[Position], points: list[Position], rays: list[Ray], orientation: OrientationModel
+    p: int, views: Sequence[Position], points: Sequence[Position], rays: Sequence[Ray], orientation: OrientationModel
 ) -> Rigidity:
     centers, targets = _residues(views, p), _residues(points, p)
     view, track = np.array(rays).T
@@ -112,8 +114,8 @@ def _modulo(
     return Rigidity(basis.shape[1], components_of(rays, [key.tobytes() for key in similarity]))
 
 
-def components_of(rays: list[Ray], similarity: list[bytes]) -> tuple[Members, ...]:
-    """Views and points of the observations that share a key, where there are two or more; the most observations first."""
+def components_of(rays: Sequence[Ray], similarity: Sequence[bytes]) -> tuple[Members, ...]:
+    """Views and points of the observations that share a key, where these are two or more; largest first."""
     groups: dict[bytes, list[Ray]] = {}
     for ray, key in zip(rays, similarity, strict=True):
         groups.setdefault(key, []).append(ray)
@@ -121,7 +123,7 @@ def components_of(rays: list[Ray], similarity: list[bytes]) -> tuple[Members, ..
     return tuple((frozenset(i for i, _ in group), frozenset(j for _, j in group)) for group in large)
 
 
-def _residues(positions: list[Position], p: int) -> Residues:
+def _residues(positions: Sequence[Position], p: int) -> Residues:
     return np.array([[x.numerator * pow(x.denominator, -1, p) % p for x in position] for position in positions])
 
 
@@ -132,7 +134,7 @@ def _dot(rows: Residues, vector: Residues, p: int) -> Residues:
 
 
 def _normals(u: Residues, p: int) -> Residues:
-    """(N, d - 1, d) vectors that span what is orthogonal to each u: rows of the cross product, the dependent one left out."""
+    """(N, d - 1, d) vectors that span what is orthogonal to each u: rows of the cross product but a dependent one."""
     if u.shape[1] == 2:
         return np.stack((-u[:, 1] % p, u[:, 0]), axis=1)[:, None]
     x, y, z = u.T

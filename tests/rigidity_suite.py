@@ -1,9 +1,9 @@
 """More than a thousand configurations of views and points whose ambiguity is known exactly.
 
-Positions are fractions, so the truth (nullity, rigid components) is found without rounding; see ``exact_rigidity``. Only
-then does a configuration get a random pose, a random size and floating-point numbers. A family says what its construction
-must lead to, which checks the theory: a member that turns out otherwise by chance is drawn again, a family that does so
-always is an error.
+Positions are fractions, so the truth (nullity, rigid components) is found without rounding; see ``exact_rigidity``.
+Only then does a configuration get a random pose, a random size and floating-point numbers. A family says what its
+construction must lead to, which checks the theory: a member that turns out otherwise by chance is drawn again, a family
+that does so always is an error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from random import Random
 import numpy as np
 import panopath as pp
 from exact_rigidity import Members, Position, Ray, exact_rigidity, gauge_freedoms, turn_generators
-from panopath.certificate import CauseKind, OrientationModel
+from panopath.certificate import CauseKind, Certificate, OrientationModel, Verdict
 from panopath.formats.structure import known_scene
 from panopath.model import Float, Int
 
@@ -184,7 +184,10 @@ def least_observations(m: int, n: int, d: int, orientation: OrientationModel) ->
 
 def connected(rng: Random, m: int, n: int, count: int) -> list[Ray]:
     """A random connected choice of observations, every view and point in it."""
-    joined, waiting = [("view", 0), ("point", 0)], [("view", i) for i in range(1, m)] + [("point", j) for j in range(1, n)]
+    joined, waiting = (
+        [("view", 0), ("point", 0)],
+        [("view", i) for i in range(1, m)] + [("point", j) for j in range(1, n)],
+    )
     rays = {(0, 0)}
     rng.shuffle(waiting)
     for kind, index in waiting:
@@ -210,6 +213,7 @@ def add_block(
     rng: Random,
     d: int,
     orientation: OrientationModel,
+    *,
     views: tuple[int, ...] = (),
     points: tuple[int, ...] = (),
 ) -> tuple[list[int], list[int]]:
@@ -263,7 +267,9 @@ def small_grid(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
     drawing.add_views([tuple(rng.choice(pick) for _ in range(d)) for _ in range(m)])
     drawing.add_points([tuple(rng.choice(pick) for _ in range(d)) for _ in range(n)])
     share = rng.choice((0.6, 0.8, 1.0))
-    rays = [(i, j) for i, j in product(range(m), range(n)) if drawing.views[i] != drawing.points[j] and rng.random() < share]
+    rays = [
+        (i, j) for i, j in product(range(m), range(n)) if drawing.views[i] != drawing.points[j] and rng.random() < share
+    ]
     if {i for i, _ in rays} != set(range(m)) or {j for _, j in rays} != set(range(n)):
         raise RedrawError
     drawing.see(rays)
@@ -291,7 +297,7 @@ def one_camera(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
 
 
 def two_cameras(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
-    """In the plane: a quadrilateral, or a triangle on either side of the baseline, can be drawn again in another shape."""
+    """In the plane: one view may go anywhere, and each point to where its two rays meet then."""
     drawing = Drawing()
     n = rng.randint(3, 12)
     drawing.add_views(anywhere(rng, d, 2))
@@ -365,7 +371,7 @@ def camera_collinear(rng: Random, d: int, orientation: OrientationModel) -> Draw
 def camera_collinear_track(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
     """A point that is seen only from views on one line with it."""
     drawing = Drawing()
-    views, points = add_block(drawing, rng, d, orientation)
+    views, _ = add_block(drawing, rng, d, orientation)
     drawing.see(product(views, drawing.add_points(anywhere(rng, d, rng.randint(0, 4)))))
     i, k = rng.sample(views, 2)
     t = rng.choice((Fraction(-1), Fraction(1, 3), Fraction(1, 2), Fraction(5, 2)))
@@ -383,7 +389,7 @@ def point_collinear(rng: Random, d: int, orientation: OrientationModel) -> Drawi
 def point_collinear_view(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
     """A view that sees only points on one line with it."""
     drawing = Drawing()
-    views, points = add_block(drawing, rng, d, orientation)
+    _, points = add_block(drawing, rng, d, orientation)
     drawing.see(product(drawing.add_views(anywhere(rng, d, rng.randint(0, 4))), points))
     i, k = rng.sample(points, 2)
     t = rng.choice((Fraction(-1), Fraction(1, 3), Fraction(1, 2), Fraction(5, 2)))
@@ -447,7 +453,9 @@ def all_on_one_line(rng: Random, d: int, orientation: OrientationModel) -> Drawi
 # --- families: conics
 
 
-def conic(rng: Random, d: int, orientation: OrientationModel, curve: str, size: tuple[int, int] | None = None) -> Drawing:
+def conic(
+    rng: Random, d: int, orientation: OrientationModel, curve: str, size: tuple[int, int] | None = None
+) -> Drawing:
     """All views and all points on one conic."""
     m, n = (rng.randint(3, 10), rng.randint(3, 10)) if size is None else size
     positions = on_conic(rng, d, curve, m + n)
@@ -536,7 +544,7 @@ def hidden_point(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
 def hidden_view(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
     """A view that sees one point."""
     drawing = Drawing()
-    views, points = add_block(drawing, rng, d, orientation)
+    _, points = add_block(drawing, rng, d, orientation)
     drawing.see(product(drawing.add_views(anywhere(rng, d, rng.randint(0, 4))), points))
     (hidden,) = drawing.add_views(anywhere(rng, d, 1))
     drawing.see([(hidden, rng.choice(points))])
@@ -545,7 +553,7 @@ def hidden_view(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
 
 
 def minimal_views(rng: Random, d: int, orientation: OrientationModel, missing: int = 0) -> Drawing:
-    """A determined part, and views that see just enough of its points, or one too few; points seen from just two views."""
+    """A determined part, views that see just enough of its points (one of them one too few), points of two views."""
     drawing = Drawing()
     views, points = add_block(drawing, rng, d, orientation)
     points += drawing.add_points(anywhere(rng, d, 3))
@@ -590,7 +598,7 @@ def disconnected(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
 
 def hinge_at_view(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
     drawing = Drawing()
-    views, points = add_block(drawing, rng, d, orientation)
+    views, _ = add_block(drawing, rng, d, orientation)
     drawing.see(product(views, drawing.add_points(anywhere(rng, d, rng.randint(0, 2)))))
     add_block(drawing, rng, d, orientation, views=(rng.choice(views),))
     return drawing.expect(1, CauseKind.WEAK_JOIN)
@@ -615,9 +623,9 @@ def windows(rng: Random, d: int, orientation: OrientationModel) -> Drawing:
 
 
 def joined(rng: Random, d: int, orientation: OrientationModel, tracks: int, rays: int) -> Drawing:
-    """Two determined parts, held by tracks that one view of each sees, and by rays from a view of one to a point of the other.
+    """Two determined parts, and what holds them: tracks that one view of each sees, rays from one part to the other.
 
-    Orientations known or not, a track is one equation in space (and none in the plane), a ray is d - 1.
+    Whatever is known of orientations, a track is one equation in space and none in the plane, a ray is d - 1.
     """
     drawing = Drawing()
     parts = [add_block(drawing, rng, d, orientation) for _ in range(2)]
@@ -771,7 +779,7 @@ def families() -> Iterator[tuple[str, Build, tuple[Model, ...], int]]:
 def configurations() -> tuple[Configuration, ...]:
     """All of them, the same on every call and in every run."""
     made = [
-        _draw(family, build, model, number)
+        draw(family, build, model, number)
         for family, build, models, count in families()
         for model in models
         for number in range(count)
@@ -779,7 +787,7 @@ def configurations() -> tuple[Configuration, ...]:
     return tuple(made)
 
 
-def _draw(family: str, build: Build, model: Model, number: int) -> Configuration:
+def draw(family: str, build: Build, model: Model, number: int) -> Configuration:
     d, orientation = model
     name = f"{family}, d = {d}, {orientation}, {number}"
     rng = Random(zlib.crc32(name.encode()))
@@ -826,6 +834,7 @@ def _finished(name: str, family: str, drawing: Drawing, orientation: Orientation
 def _posed(drawing: Drawing, orientation: OrientationModel, rng: Random) -> tuple[Float, Float, Float | None]:
     """Centres, points and orientations in a random frame, of random size."""
     exact = drawing.views + drawing.points
+    # the centroid exactly, so that nothing is lost where positions are far from the origin
     middle = [sum(column) / len(exact) for column in zip(*exact, strict=True)]
     positions = np.array([[float(x - y) for x, y in zip(position, middle, strict=True)] for position in exact])
     numpy_rng = np.random.default_rng(rng.getrandbits(32))
@@ -856,57 +865,125 @@ def _random_rotation(rng: np.random.Generator, d: int, about_z: bool = False) ->
 
 
 def rigidity_matrix(configuration: Configuration) -> Float:
-    """Change of each bearing, in radians, with the positions (in the scene's size) and the turns; ((d - 1) N, unknowns).
+    """((d - 1) N, unknowns) change of each bearing, in radians, with positions (in the scene's size) and turns.
 
     Columns: all centres, all points, all turns. Rows: each ray's tangent directions.
     """
     c, d = configuration, configuration.d
-    directions = c.directions()
-    everything = np.concatenate((c.centers, c.points))
-    size = np.sqrt(np.mean(np.sum((everything - everything.mean(axis=0)) ** 2, axis=1)))
-    length = np.linalg.norm(c.points[c.track] - c.centers[c.view], axis=1) / size
-    generators = turn_generators(d, c.orientation).astype(np.float64)
-    m, t = len(c.centers), len(generators)
-    matrix = np.zeros((len(directions), d - 1, d * len(everything) + m * t))
+    directions, (positions, _) = c.directions(), _normalized(c)
+    m, generators = len(c.centers), turn_generators(d, c.orientation).astype(np.float64)
+    t = len(generators)
+    length = np.linalg.norm(positions[m + c.track] - positions[c.view], axis=1)
+    matrix = np.zeros((len(directions), d - 1, d * len(positions) + m * t))
     for o, (i, j) in enumerate(zip(c.view, m + c.track, strict=True)):
         tangents = np.linalg.svd(directions[o, None])[2][1:]
         matrix[o, :, d * i : d * i + d] = -tangents / length[o]
         matrix[o, :, d * j : d * j + d] = tangents / length[o]
-        turns = d * len(everything) + t * i
+        turns = d * len(positions) + t * i
         matrix[o, :, turns : turns + t] = -tangents @ (generators @ directions[o]).T
     return matrix.reshape(-1, matrix.shape[2])
 
 
+def similarities(configuration: Configuration, motions: Float) -> Float:
+    """(N, 1 + t + d, k) stretch, turn and shift of each observation in each of k motions, columns as in the matrix."""
+    c, d = configuration, configuration.d
+    positions, _ = _normalized(c)
+    m, generators = len(c.centers), turn_generators(d, c.orientation).astype(np.float64)
+    shifts = motions[: positions.size].reshape(len(positions), d, motions.shape[1])
+    turns = motions[positions.size :].reshape(m, len(generators), motions.shape[1])[c.view]
+    ray = positions[m + c.track] - positions[c.view]
+    moved = shifts[m + c.track] - shifts[c.view]
+    stretch = np.einsum("nd,ndk->nk", ray, moved) / np.sum(ray**2, axis=1, keepdims=True)
+    at_center = np.einsum("tab,nb,ntk->nak", generators, positions[c.view], turns)
+    shift = shifts[c.view] - positions[c.view][:, :, None] * stretch[:, None] - at_center
+    return np.concatenate((stretch[:, None], turns, shift), axis=1)
+
+
+def _normalized(c: Configuration) -> tuple[Float, float]:
+    """Centres and points about their centroid in units of their rms distance from it, and this unit."""
+    positions = np.concatenate((c.centers, c.points))
+    positions = positions - positions.mean(axis=0)
+    size = float(np.sqrt(np.mean(np.sum(positions**2, axis=1))))
+    return positions / size, size
+
+
 def exact_case(configuration: Configuration) -> tuple[pp.Tracks, pp.Scene]:
     """Bearings without noise, and the true scene."""
-    c = configuration
-    return _case(c, c.directions())
+    return _case(configuration, configuration.directions())
 
 
-def noisy_case(configuration: Configuration, sigma_rad: float, seed: int = 0) -> tuple[pp.Tracks, pp.Scene]:
-    """Bearings with noise, and the scene that the solver finds: from nothing where orientations are known, else from the truth."""
+def noisy_case(configuration: Configuration, sigma_rad: float) -> tuple[pp.Tracks, pp.Scene]:
+    """Noisy bearings and the scene solved from them: from nothing where orientations are known, else from the truth."""
     c = configuration
-    rng = np.random.default_rng([seed, zlib.crc32(c.name.encode())])
+    rng = np.random.default_rng(zlib.crc32(c.name.encode()))
+    # the part along the ray changes nothing once the length is one again
     directions = c.directions() + rng.normal(size=(len(c.view), c.d)) * sigma_rad
     tracks, truth = _case(c, directions / np.linalg.norm(directions, axis=1, keepdims=True))
     if c.orientation == "known":
         return tracks, pp.solve_positions(tracks, c.cam_from_world, pp.PositionOptions(threads=1))
     priors = pp.Priors()
     if c.orientation == "vertical":
-        assert c.cam_from_world is not None
-        up = c.cam_from_world[:, :, 2]
+        up = truth.cam_from_world[:, :, 2]
         priors = pp.Priors(directions=pp.DirectionPriors.gravity(np.arange(len(up)), up, 1e-6))
     return tracks, pp.refine(tracks, truth, pp.RefineOptions(priors=priors, threads=1))
+
+
+def is_whole(scene: pp.Scene) -> bool:
+    """Whether a solver claims to have solved all of it."""
+    every = np.concatenate((scene.centers, scene.points))
+    return scene.summary.status == pp.Status.CONVERGED and bool(np.isfinite(every).all())
 
 
 def _case(c: Configuration, directions: Float) -> tuple[pp.Tracks, pp.Scene]:
     bearings = directions
     if c.cam_from_world is not None and c.d == 2:
-        h = c.cam_from_world[c.view]
-        # a heading h has world_from_cam = rotation by +h
         x, y = directions.T
-        bearings = np.stack((np.cos(h) * x + np.sin(h) * y, -np.sin(h) * x + np.cos(h) * y), axis=1)
+        cos, sin = np.cos(c.cam_from_world[c.view]), np.sin(c.cam_from_world[c.view])
+        bearings = np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
     elif c.cam_from_world is not None:
         bearings = np.einsum("nij,nj->ni", c.cam_from_world[c.view], directions)
     tracks = pp.Tracks.from_arrays(c.view, c.track, bearings, len(c.centers), len(c.points))
     return tracks, known_scene(tracks, c.cam_from_world, c.centers, c.points)
+
+
+# --- judging a certificate
+
+
+def faults(configuration: Configuration, certificate: Certificate) -> list[str]:
+    """What a certificate of the exact case has wrong; empty where it is right."""
+    c, found = configuration, certificate
+    wrong = []
+    for name, value, truth in (
+        ("nullity", found.nullity, c.nullity),
+        ("gauge_freedoms", found.gauge_freedoms, c.gauge_freedoms),
+        ("determined", found.verdict == Verdict.DETERMINED, not c.ambiguous),
+        ("undetermined", found.verdict == Verdict.UNDETERMINED, c.ambiguous),
+        ("causes are named", any(cause.is_exact for cause in found.causes), c.ambiguous),
+    ):
+        if value != truth:
+            wrong.append(f"{c.name}: {name} is {value}, expected {truth}")
+    components = {
+        (frozenset(map(int, part.views)), frozenset(map(int, part.tracks)))
+        for part in found.components
+        if part.n_observations > 1
+    }
+    if components != set(c.components):
+        wrong.append(f"{c.name}: components {_sizes(components)} (views, points), expected {_sizes(set(c.components))}")
+    kinds = {cause.kind for cause in found.causes}
+    if c.causes and not kinds & c.causes:
+        wrong.append(f"{c.name}: causes {sorted(kinds)}, expected one of {sorted(c.causes)}")
+    return wrong
+
+
+def noisy_faults(configuration: Configuration, scene: pp.Scene, certificate: Certificate) -> list[str]:
+    """Verdicts that noise does not excuse: sure of what is ambiguous, or certain that what is determined is not."""
+    c, found = configuration, certificate
+    if c.ambiguous and found.verdict == Verdict.DETERMINED:
+        return [f"{c.name}: determined, but its nullity is {c.nullity}"]
+    if not c.ambiguous and found.verdict == Verdict.UNDETERMINED and is_whole(scene):
+        return [f"{c.name}: undetermined, but its exact geometry is determined"]
+    return []
+
+
+def _sizes(components: set[Members]) -> list[tuple[int, int]]:
+    return sorted(((len(views), len(points)) for views, points in components), reverse=True)
