@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from functools import cache
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import panopath as pp
 import pytest
 import rigidity_suite
 from exact_rigidity import Position, components_of, exact_rigidity, gauge_freedoms
-from panopath.certificate import CauseKind
+from panopath.certificate import CauseKind, Verdict
 from rigidity_suite import (
     Configuration,
     configurations,
@@ -126,6 +127,57 @@ def test_exact_cases_have_residuals_of_rounding(family: str) -> None:
         tracks, scene = exact_case(c)
         assert scene.residual_rad.max() < 1e-13, c.name
         assert (len(tracks), scene.centers.shape, scene.points.shape) == (len(c.view), c.centers.shape, c.points.shape)
+
+
+def claimed(c: Configuration, **changes: Any) -> Any:
+    """A certificate that says the truth, but for some fields."""
+    parts = [
+        SimpleNamespace(views=np.array(sorted(views)), tracks=np.array(sorted(points)), n_observations=2)
+        for views, points in c.components
+    ]
+    fields = {
+        "nullity": c.nullity,
+        "gauge_freedoms": c.gauge_freedoms,
+        "verdict": Verdict.UNDETERMINED if c.ambiguous else Verdict.DETERMINED,
+        "components": tuple(parts),
+        "causes": [SimpleNamespace(kind=kind, is_exact=True) for kind in sorted(c.causes)[:1]],
+    }
+    return SimpleNamespace(**{**fields, **changes})
+
+
+def test_each_fault_is_seen() -> None:
+    c = by_family()["windows"][0]
+    assert faults(c, claimed(c)) == []
+    lone = SimpleNamespace(views=np.array([0]), tracks=np.array([0]), n_observations=1)
+    assert faults(c, claimed(c, components=(*claimed(c).components, lone))) == []
+    other = [SimpleNamespace(kind=CauseKind.CONIC, is_exact=True)]
+    changed: list[dict[str, Any]] = [
+        {"nullity": c.nullity - 1},
+        {"gauge_freedoms": c.gauge_freedoms + 1},
+        {"verdict": Verdict.WEAK},
+        {"verdict": Verdict.DETERMINED},
+        {"components": claimed(c).components[1:]},
+        {"causes": other},
+        {"causes": []},
+    ]
+    for changes in changed:
+        assert faults(c, claimed(c, **changes)), changes
+    firm = by_family()["skew lines"][0]
+    assert faults(firm, claimed(firm)) == []
+    assert faults(firm, claimed(firm, causes=other))
+    assert faults(firm, claimed(firm, verdict=Verdict.WEAK))
+
+
+def test_noise_excuses_weak_only() -> None:
+    loose, firm = by_family()["windows"][0], by_family()["skew lines"][0]
+    for c, verdict, wrong in (
+        (loose, Verdict.DETERMINED, 1),
+        (loose, Verdict.WEAK, 0),
+        (firm, Verdict.UNDETERMINED, 1),
+        (firm, Verdict.WEAK, 0),
+        (firm, Verdict.DETERMINED, 0),
+    ):
+        assert len(noisy_faults(c, exact_case(c)[1], claimed(c, verdict=verdict))) == wrong
 
 
 # --- the certificate
