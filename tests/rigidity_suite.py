@@ -870,7 +870,7 @@ def rigidity_matrix(configuration: Configuration) -> Float:
     Columns: all centres, all points, all turns. Rows: each ray's tangent directions.
     """
     c, d = configuration, configuration.d
-    directions, (positions, _) = c.directions(), _normalized(c)
+    directions, positions = c.directions(), _normalized(c)
     m, generators = len(c.centers), turn_generators(d, c.orientation).astype(np.float64)
     t = len(generators)
     length = np.linalg.norm(positions[m + c.track] - positions[c.view], axis=1)
@@ -887,7 +887,7 @@ def rigidity_matrix(configuration: Configuration) -> Float:
 def similarities(configuration: Configuration, motions: Float) -> Float:
     """(N, 1 + t + d, k) stretch, turn and shift of each observation in each of k motions, columns as in the matrix."""
     c, d = configuration, configuration.d
-    positions, _ = _normalized(c)
+    positions = _normalized(c)
     m, generators = len(c.centers), turn_generators(d, c.orientation).astype(np.float64)
     shifts = motions[: positions.size].reshape(len(positions), d, motions.shape[1])
     turns = motions[positions.size :].reshape(m, len(generators), motions.shape[1])[c.view]
@@ -899,12 +899,11 @@ def similarities(configuration: Configuration, motions: Float) -> Float:
     return np.concatenate((stretch[:, None], turns, shift), axis=1)
 
 
-def _normalized(c: Configuration) -> tuple[Float, float]:
-    """Centres and points about their centroid in units of their rms distance from it, and this unit."""
+def _normalized(c: Configuration) -> Float:
+    """Centres, then points, about their centroid, in units of their rms distance from it."""
     positions = np.concatenate((c.centers, c.points))
     positions = positions - positions.mean(axis=0)
-    size = float(np.sqrt(np.mean(np.sum(positions**2, axis=1))))
-    return positions / size, size
+    return np.asarray(positions / np.sqrt(np.mean(np.sum(positions**2, axis=1))))
 
 
 def exact_case(configuration: Configuration) -> tuple[pp.Tracks, pp.Scene]:
@@ -912,10 +911,10 @@ def exact_case(configuration: Configuration) -> tuple[pp.Tracks, pp.Scene]:
     return _case(configuration, configuration.directions())
 
 
-def noisy_case(configuration: Configuration, sigma_rad: float) -> tuple[pp.Tracks, pp.Scene]:
+def noisy_case(configuration: Configuration, sigma_rad: float, seed: int = 0) -> tuple[pp.Tracks, pp.Scene]:
     """Noisy bearings and the scene solved from them: from nothing where orientations are known, else from the truth."""
     c = configuration
-    rng = np.random.default_rng(zlib.crc32(c.name.encode()))
+    rng = np.random.default_rng([zlib.crc32(c.name.encode()), seed])
     # the part along the ray changes nothing once the length is one again
     directions = c.directions() + rng.normal(size=(len(c.view), c.d)) * sigma_rad
     tracks, truth = _case(c, directions / np.linalg.norm(directions, axis=1, keepdims=True))
