@@ -21,6 +21,7 @@ from rigidity_suite import (
     exact_case,
     families,
     faults,
+    is_whole,
     noisy_case,
     noisy_faults,
     rigidity_matrix,
@@ -203,3 +204,17 @@ def test_with_noise_it_errs_towards_weak_only(family: str, noise_deg: float) -> 
         options = core.CertifyOptions(orientation=c.orientation, sigma_rad=np.radians(noise_deg))
         wrong += noisy_faults(c, scene, core.certify(tracks, scene, options))
     assert not wrong, "\n".join(wrong)
+
+
+@needs_certify
+def test_weak_is_the_exception() -> None:
+    sigma_rad = np.radians(0.02)
+    verdicts = []
+    for c in configurations():
+        if not c.ambiguous:
+            tracks, scene = noisy_case(c, sigma_rad)
+            if is_whole(scene):
+                options = core.CertifyOptions(orientation=c.orientation, sigma_rad=sigma_rad)
+                verdicts.append(core.certify(tracks, scene, options).verdict)
+    assert len(verdicts) > 300
+    assert verdicts.count(Verdict.DETERMINED) > 0.85 * len(verdicts)
