@@ -67,6 +67,19 @@ impl<const D: usize> Frame<D> {
         Some(Self { views, part, estimate, size, keep })
     }
 
+    /// The frame after a displacement of the views, the points following.
+    pub fn moved<const W: usize>(&self, step: &[f64], amplitude: f64) -> Self {
+        let followers = self.followers::<W>(step);
+        let shifts =
+            step.as_chunks::<W>().0.iter().map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[W - D + c])));
+        let move_by = |(x, dx): (&Lanes, Lanes)| x.plus_scaled(amplitude, &dx);
+        let estimate = Estimate {
+            centers: self.estimate.centers.iter().zip(shifts).map(move_by).collect(),
+            points: self.estimate.points.iter().zip(followers).map(move_by).collect(),
+        };
+        Self { views: self.views.clone(), part: self.part.clone(), estimate, size: self.size, keep: self.keep.clone() }
+    }
+
     /// From the centre of the view to the point.
     pub fn segment(&self, o: usize, j: usize) -> Lanes {
         self.estimate.points[j].minus(&self.estimate.centers[self.part.node_of(o) as usize])

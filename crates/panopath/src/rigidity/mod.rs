@@ -151,6 +151,13 @@ const NOISE_MODES: usize = 3;
 pub const LOOSE: f64 = 0.1;
 /// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
 const LOOSE_POINTS: f64 = 0.01;
+/// Share of the views, and of the tracks, with observations that a determined scene may leave out.
+const LEFT_OUT: f64 = 0.05;
+/// A mode that moves by more than this at one standard deviation is followed, to see whether it gets weaker on its way.
+const FOLLOWED_MOVEMENT: f64 = 0.005;
+/// It does where its value falls below this share: what is ambiguous to first order alone is a double root, which noise
+/// takes apart by the root of itself.
+const WEAKER: f64 = 0.85;
 /// Most modes written out.
 const MOST_REPORTED: usize = 12;
 
@@ -498,7 +505,9 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             }
             let found = &mut self.components[component];
             found.weakest_movement = found.weakest_movement.max(movement);
-            let near_null = k < NOISE_MODES && is_noise::<D, W>(frame, mode, sigma);
+            let near_null = k < NOISE_MODES
+                && (is_noise::<D, W>(frame, mode, sigma)
+                    || (W > D && movement > FOLLOWED_MOVEMENT && gets_weaker(analysis, modes, k, movement)?));
             if movement > self.weak_movement || near_null {
                 verdict = verdict.max(Verdict::Weak);
                 self.report(frame, mode, movement, component, Motion::of::<W>(frame, &mode.step));
@@ -593,6 +602,21 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         self.modes.push(written);
     }
 
+    /// Are there views or tracks with observations, more than a few, that the scene has no place for?
+    fn leaves_out_many(&self) -> bool {
+        let share_out = |of: &[u32], n: usize| {
+            let (mut asked, mut placed) = (vec![false; n], vec![false; n]);
+            for (o, &member) in of.iter().enumerate() {
+                asked[member as usize] = true;
+                placed[member as usize] |= self.counts[o];
+            }
+            let count = |flags: &[bool]| flags.iter().filter(|f| **f).count() as f64;
+            1.0 - count(&placed) / count(&asked).max(1.0)
+        };
+        share_out(self.scene.view, self.scene.centers.len()) > LEFT_OUT
+            || share_out(self.scene.track, self.scene.points.len()) > LEFT_OUT
+    }
+
     /// Puts the components in order and draws the conclusion.
     fn conclude(mut self) -> Certificate<D> {
         let mut order: Vec<usize> = (0..self.components.len()).collect();
@@ -613,8 +637,13 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         self.modes.sort_by(|a, b| b.is_null.cmp(&a.is_null).then(b.movement.total_cmp(&a.movement)));
         let gauge_freedoms = self.gauge_freedoms();
         let weakest = self.components.iter().map(|c| c.verdict).max().unwrap_or(Verdict::Undetermined);
-        let verdict =
-            if self.nullity > gauge_freedoms || self.components.len() != 1 { Verdict::Undetermined } else { weakest };
+        let verdict = if self.nullity > gauge_freedoms || self.components.len() != 1 {
+            Verdict::Undetermined
+        } else if self.leaves_out_many() {
+            weakest.max(Verdict::Weak)
+        } else {
+            weakest
+        };
         let components = order.iter().map(|&k| self.components[k].clone()).collect();
         Certificate {
             verdict,
@@ -634,6 +663,23 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             track_looseness: self.track_looseness,
         }
     }
+}
+
+/// Does the mode cost less at scenes that lie within three standard deviations along it?
+fn gets_weaker<const D: usize, const W: usize, M: Mobility<D, W>>(
+    analysis: &Analysis<'_, D, W, M>,
+    modes: &[Mode],
+    k: usize,
+    movement: f64,
+) -> Result<bool, CertifyError> {
+    for sigmas in [-3.0, -2.0, -1.0, 1.0, 2.0, 3.0] {
+        let moved = analysis.frame.moved::<W>(&modes[k].step, sigmas * movement);
+        let there = Analysis::<D, W, M>::new(&moved, analysis.absent, analysis.gauge);
+        if there.least_among(modes)? < WEAKER * modes[0].value {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Could the mode be an exact ambiguity seen through noise? A deformation that stretches segment `(i, j)` by `lambda_ij`

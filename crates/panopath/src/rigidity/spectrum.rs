@@ -121,6 +121,13 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         }
     }
 
+    /// The least value among combinations of the displacements of some modes, found at another scene.
+    pub fn least_among(&self, modes: &[Mode]) -> Result<f64, LeastSquaresError> {
+        let basis = orthonormal(modes.iter().map(|mode| self.gauge.removed(mode.step.clone())).collect());
+        let n = self.frame.part.n_observations() as f64 / self.frame.views.len() as f64;
+        Ok(self.combined(&basis)?.0.first().map_or(f64::INFINITY, |least| least / n.sqrt()))
+    }
+
     /// The unknowns to hold so that translation and turns are fixed: those of one view, and all that views do not have.
     pub fn pinned(&self) -> Vec<bool> {
         let pinned = most_observed_node(&self.frame.part);
