@@ -108,7 +108,8 @@ impl<const D: usize> Frame<D> {
         })
     }
 
-    fn center(&self, o: usize) -> &Lanes {
+    /// Centre of the view.
+    pub fn center(&self, o: usize) -> &Lanes {
         &self.estimate.centers[self.part.node_of(o) as usize]
     }
 }

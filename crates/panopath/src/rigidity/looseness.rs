@@ -12,7 +12,7 @@ use crate::bundle::part::{Lanes, Layout};
 use crate::bundle::reduced::{PointSum, Weighing};
 use crate::least_squares::{LeastSquaresError, SelectedInverse};
 
-/// A point whose views spread over less than this share of its distance is far.
+/// A point is far where the spread of its views, or their range of sight, is less than this share of its distance.
 const REALLY_FAR: f64 = 0.1;
 /// A far point must show that it is: by views that stand across its ray, this many times (squared) farther apart than noise
 /// would let them appear were they all on one line with a near one.
@@ -145,13 +145,28 @@ fn farthest_coordinate<const D: usize, const W: usize>(frame: &Frame<D>, held: &
 }
 
 /// Standard deviation of each point, its views held, as a share of its distance, or of the square of its distance over the
-/// spread of its views where that is less: a point may be as far as it likes, if it is known to be far.
+/// spread of its views (or over the distance at which these see things, where that is more), if this is less: a point may be
+/// as far as it likes, if it is known to be far.
 ///
 /// A point that could slide along its rays but for the noise in them counts as [`LOOSE`] or more: sliding by `a` stretches
 /// the segments by `lambda` and, at positions that err by the noise, turns them by about `sigma lambda`.
 pub(super) fn of_points<const D: usize>(frame: &Frame<D>, noise_multiple: f64) -> Vec<f64> {
-    let of = |j: &usize| Slide::<D>::of(frame, *j).map_or(f64::INFINITY, |slide| slide.looseness(noise_multiple));
+    let sight = ranges_of_sight(frame);
+    let of =
+        |j: &usize| Slide::<D>::of(frame, *j, &sight).map_or(f64::INFINITY, |slide| slide.looseness(noise_multiple));
     (0..frame.part.n_tracks()).collect::<Vec<usize>>().par_iter().map(of).collect()
+}
+
+/// Distance of half of the points that each view sees.
+fn ranges_of_sight<const D: usize>(frame: &Frame<D>) -> Vec<f64> {
+    let mut distances: Vec<Vec<f64>> = vec![Vec::new(); frame.views.len()];
+    for j in 0..frame.part.n_tracks() {
+        for o in frame.part.observations(j) {
+            let u = frame.segment(o, j);
+            distances[frame.part.node_of(o) as usize].push(u.dot::<D>(&u).sqrt());
+        }
+    }
+    distances.par_iter_mut().map(|d| median(d)).collect()
 }
 
 /// The displacement of a point that its rays resist least.
@@ -162,52 +177,70 @@ struct Slide<const D: usize> {
     stretched: f64,
     /// Rms distance from its views.
     far: f64,
-    /// Largest distance of these from their middle.
-    spread: f64,
+    /// Largest distance of these from their middle, or how far they see, where that is more.
+    reach: f64,
 }
 
 impl<const D: usize> Slide<D> {
-    fn of(frame: &Frame<D>, j: usize) -> Option<Self> {
-        let weights = NewtonWeights::new(&frame.part, &frame.estimate, &frame.keep, f64::INFINITY);
-        let point = frame.estimate.points[j];
-        let mut sum = PointSum::<D>::new();
+    fn of(frame: &Frame<D>, j: usize, sight: &[f64]) -> Option<Self> {
         let observations = frame.part.observations(j);
         let n = observations.len() as f64;
-        let mut middle = Lanes::ZERO;
+        let middle = observations.clone().fold(Lanes::ZERO, |sum, o| sum.plus_scaled(1.0 / n, frame.center(o)));
+        let (mut squared, mut spread, mut seen) = (0.0, 0.0f64, 0.0);
         for o in observations.clone() {
-            sum.add(&weights.observe(o, j));
-            middle = middle.plus_scaled(1.0 / n, &frame.estimate.centers[frame.part.node_of(o) as usize]);
+            seen += sight[frame.part.node_of(o) as usize] / n;
+            let (u, arm) = (frame.segment(o, j), frame.center(o).minus(&middle));
+            squared += u.dot::<D>(&u) / n;
+            spread = spread.max(arm.dot::<D>(&arm).sqrt());
         }
+        let far = squared.sqrt();
+        let reach = frame.estimate.points[j].minus(&middle);
+        let (along, variance) = if spread < REALLY_FAR * far {
+            Self::from_afar(frame, j, &middle, &reach)
+        } else {
+            Self::weakest(frame, j, &reach)
+        }?;
+        let stretch = |o: usize| {
+            let u = frame.segment(o, j);
+            (u.dot::<D>(&along) / u.dot::<D>(&u)).powi(2)
+        };
+        Some(Self { variance, stretched: observations.map(stretch).sum(), far, reach: spread.max(seen) })
+    }
+
+    /// Along the mean ray. How far views stand across it is known as well as where they are, though rays from there may be
+    /// parallel as far as numbers go.
+    fn from_afar(frame: &Frame<D>, j: usize, middle: &Lanes, reach: &Lanes) -> Option<(Lanes, f64)> {
+        let along = reach.times(1.0 / reach.dot::<D>(reach).sqrt());
+        let turned = frame.part.observations(j).map(|o| {
+            let (u, arm) = (frame.segment(o, j), frame.center(o).minus(middle));
+            let across = arm.plus_scaled(-arm.dot::<D>(&along), &along);
+            frame.part.ray[o].0[3] * across.dot::<D>(&across) / u.dot::<D>(&u).powi(2)
+        });
+        Some((along, 1.0 / turned.sum::<f64>()))
+    }
+
+    /// Where the rays resist least, by inverse iteration from the mean ray.
+    fn weakest(frame: &Frame<D>, j: usize, reach: &Lanes) -> Option<(Lanes, f64)> {
+        let weights = NewtonWeights::new(&frame.part, &frame.estimate, &frame.keep, f64::INFINITY);
+        let mut sum = PointSum::<D>::new();
+        frame.part.observations(j).for_each(|o| sum.add(&weights.observe(o, j)));
         let factor = sum.factor(0.0, &Lanes::ZERO);
-        // two steps of inverse iteration from the mean ray: what is free, is free along it or nearly
-        let reach = point.minus(&middle);
-        let mut along = reach.plus_scaled(1e-3, &Lanes::from_vector::<D>(&[1.0; D]));
+        let unit = |x: &Lanes| {
+            let length = x.dot::<D>(x).sqrt();
+            (length.is_finite() && length > 0.0).then(|| x.times(1.0 / length))
+        };
+        let mut along = unit(&reach.plus_scaled(1e-3, &Lanes::from_vector::<D>(&[1.0; D])))?;
         let mut variance = f64::INFINITY;
         for _ in 0..3 {
-            let length = along.dot::<D>(&along).sqrt();
-            along = along.times(1.0 / length);
             let next = factor.solve(&along);
             variance = next.dot::<D>(&along);
-            along = next;
+            along = unit(&next)?;
         }
-        let length = along.dot::<D>(&along).sqrt();
-        if !(length.is_finite() && length > 0.0) {
-            return None;
-        }
-        along = along.times(1.0 / length);
-        let norm = |u: &Lanes| u.dot::<D>(u).sqrt();
-        let (mut stretched, mut spread, mut squared) = (0.0, 0.0f64, 0.0);
-        for o in observations {
-            let u = frame.segment(o, j);
-            stretched += (u.dot::<D>(&along) / u.dot::<D>(&u)).powi(2);
-            squared += u.dot::<D>(&u) / n;
-            spread = spread.max(norm(&frame.estimate.centers[frame.part.node_of(o) as usize].minus(&middle)));
-        }
-        Some(Self { variance, stretched, far: squared.sqrt(), spread })
+        Some((along, variance))
     }
 
     fn looseness(&self, noise_multiple: f64) -> f64 {
-        let known_far = f64::min(1.0, self.spread / self.far);
+        let known_far = f64::min(1.0, self.reach / self.far);
         let deviation = self.variance.sqrt() * known_far;
         let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { noise_multiple };
         let near_null = LOOSE * ((D - 1) as f64 * multiple * self.stretched).sqrt();

@@ -144,13 +144,13 @@ const ROUNDING_RAD: f64 = 1e-7;
 /// Such a scene has modes that are null but for this multiple of its residuals.
 const ROUNDING_MULTIPLE: f64 = 30.0;
 /// An exact ambiguity seen through noise has, in units of what noise gives it on average, at most this energy.
-const NOISE_MULTIPLE: f64 = 16.0;
+const NOISE_MULTIPLE: f64 = 25.0;
 /// Modes, the weakest, that are tested for being such an ambiguity.
 const NOISE_MODES: usize = 3;
 /// A member whose standard deviation is beyond this share of its distance is held loosely.
 pub const LOOSE: f64 = 0.1;
 /// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
-const LOOSE_POINTS: f64 = 0.01;
+const LOOSE_POINTS: f64 = 0.05;
 /// Share of the views, and of the tracks, with observations that a determined scene may leave out.
 const LEFT_OUT: f64 = 0.05;
 /// A mode that moves by more than this at one standard deviation is followed, to see whether it gets weaker on its way.
