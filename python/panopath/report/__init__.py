@@ -1,5 +1,6 @@
 """What a person looks at."""
 
+from panopath.report.certificate_pictures import draw_certificate, explain
 from panopath.report.pictures import draw_scene
 
-__all__ = ["draw_scene"]
+__all__ = ["draw_certificate", "draw_scene", "explain"]
