@@ -107,7 +107,7 @@ def spectrum_lines(certificate: Certificate) -> list[str]:
     told.append(f"singular values: largest null {certificate.gap.last_null:.2g}, {above} (largest of all 1)")
     told.append(
         f"noise: {_degrees(certificate.sigma_rad)} ({_SIGMA_SOURCE[certificate.sigma_source]}); weak is what it moves "
-        f"by more than {_percent(certificate.weak_movement)} of a part's size"
+        f"by more than {percent(certificate.weak_movement)} of a part's size"
     )
     return told
 
@@ -116,7 +116,7 @@ def part_lines(certificate: Certificate) -> list[str]:
     """Tell each rigid part: what it has, and how far noise moves it."""
     told = [
         f"part {number}: {part.verdict}, {_count(len(part.views), 'view')}, {_count(len(part.tracks), 'point')}, "
-        f"{_count(part.n_observations, 'observation')}, moved by {_percent(part.weakest_movement)}"
+        f"{_count(part.n_observations, 'observation')}, moved by {percent(part.weakest_movement)}"
         for number, part in enumerate(certificate.components, 1)
     ]
     return _shortened(told, "part")
@@ -151,7 +151,7 @@ def looseness_lines(certificate: Certificate, names: Names | None = None) -> lis
     order = np.argsort(np.where(np.isfinite(held), -held, np.inf), kind="stable")
     weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > certificate.weak_movement]
     told = [
-        f"weakly held: {called.of_views([view])}, to {_percent(held[view])} of its distance from the views around it"
+        f"weakly held: {called.of_views([view])}, to {percent(held[view])} of its distance from the views around it"
         for view in weak
     ]
     return _shortened(told, "weakly held view")
@@ -187,7 +187,7 @@ def _what_noise_does(certificate: Certificate) -> str:
         part, whose = certificate.components[number], f"the views of part {number + 1}" if number else "views"
     if not np.isfinite(part.weakest_movement):
         return f"noise of {_degrees(certificate.sigma_rad)} hides its shape"
-    return f"noise of {_degrees(certificate.sigma_rad)} moves {whose} by {_percent(part.weakest_movement)} of the size"
+    return f"noise of {_degrees(certificate.sigma_rad)} moves {whose} by {percent(part.weakest_movement)} of the size"
 
 
 def _what_is_left(certificate: Certificate) -> list[str]:
@@ -364,7 +364,7 @@ def _mode_line(number: int, mode: Mode, names: Names) -> str:
     speeds = [np.where(np.isfinite(speed), speed, 0.0) for speed in speeds]
     fastest = max(speed.max(initial=0.0) for speed in speeds)
     movers = [np.flatnonzero(speed > _MOVES * fastest) if fastest > 0.0 else np.empty(0, int) for speed in speeds]
-    what = "null" if mode.is_null else f"{_percent(mode.movement)} of the size"
+    what = "null" if mode.is_null else f"{percent(mode.movement)} of the size"
     who = names.of_both(movers[0], movers[1]) or "turns only"
     return f"mode {number} ({what}, singular value {mode.value:.2g}): moves {who}"
 
@@ -411,7 +411,8 @@ def _direction(line: Float) -> str:
     return f"({', '.join(f'{value + 0.0:.2f}' for value in np.round(unit, 2))})"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Give a share in percent, two digits of it; one that is not finite is any share."""
     if not np.isfinite(share):
         return "any share"
     percent = 100.0 * share
