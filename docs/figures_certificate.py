@@ -26,6 +26,7 @@ from panopath.report.animation import (
     animate_mode,
     guide_curves,
     mode_frames,
+    null_modes,
 )
 from panopath.steps import CertifyOptions, certify
 
@@ -84,7 +85,7 @@ def balanced_mode(scene: pp.Scene, certificate: Certificate, still: Sequence[int
 
     Any mixture of null modes is a null mode; which ones a certificate gives is an accident.
     """
-    first, *others = [mode for mode in certificate.modes if mode.is_null]
+    first, *others = null_modes(scene, certificate)
     if len(others) != 1:
         return first
     angles = np.linspace(0.0, np.pi, 24, endpoint=False)

@@ -122,7 +122,7 @@ def _beyond_gauge(free: Float, place: Float) -> Float:
 def _mode(value: float, moved: Float, m: int, size: float, *, null: bool) -> Mode:
     rms = float(np.sqrt((moved[:m] ** 2).sum(axis=1).mean()))
     scale = size / np.sqrt((moved**2).sum(axis=1).mean()) if null else 1.0
-    return Mode(value, null, np.inf if null else rms / size, scale * moved[:m], scale * moved[m:], np.zeros(m))
+    return Mode(value, null, np.inf if null else rms / size, 0, scale * moved[:m], scale * moved[m:], np.zeros((m, 3)))
 
 
 def _own_line(across: Float) -> Float:

@@ -1,6 +1,7 @@
 """From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
 
 from panopath import _core
+from panopath.certificate import Cause, CauseKind, Certificate, Consistency, Verdict
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     Database,
@@ -33,6 +34,7 @@ from panopath.model import (
 from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
+    CertifyOptions,
     CorrespondenceOptions,
     FeatureTracks,
     HeadingOptions,
@@ -50,6 +52,7 @@ from panopath.steps import (
     ViewGraphOptions,
     ViewPairs,
     average_rotations,
+    certify,
     find_headings,
     fit_rotations,
     mean_motion,
@@ -67,6 +70,11 @@ from panopath.synthetic import SyntheticWorld, simulate
 __version__ = _core.__version__
 
 __all__ = [
+    "Cause",
+    "CauseKind",
+    "Certificate",
+    "CertifyOptions",
+    "Consistency",
     "Control",
     "CorrespondenceOptions",
     "Database",
@@ -106,9 +114,11 @@ __all__ = [
     "TwoViews",
     "ViewGraphOptions",
     "ViewOrientations",
+    "Verdict",
     "ViewPairs",
     "__version__",
     "average_rotations",
+    "certify",
     "evaluate",
     "find_headings",
     "fit_rotations",

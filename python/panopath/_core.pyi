@@ -16,6 +16,7 @@ __all__ = [
     "bearings_from_perspective",
     "bearings_from_planar_compass",
     "bearings_from_spherical",
+    "certify",
     "circular_from_bearings",
     "compass_from_bearings",
     "cylindrical_from_bearings",
@@ -80,6 +81,12 @@ def view_pairs(
     max_partners: int,
     max_matches: int,
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.int32]]: ...
+def certify(
+    observations: _Observations,
+    scene: _Start,
+    fit: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]],
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
 def scene_covariance(
     observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,

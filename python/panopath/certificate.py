@@ -66,9 +66,9 @@ class CauseKind(StrEnum):
 
 @dataclass(frozen=True)
 class Gap:
-    """Singular values on either side of the nullity; the largest one is 1."""
+    """Values of modes on either side of the nullity: rms angle by which rays turn where the views move by their size."""
 
-    #: The largest that counts as zero.
+    #: The largest that counts as zero; 0 where none beyond the gauge does.
     last_null: float
     #: The smallest that does not; NaN where there is none.
     first_other: float
@@ -100,18 +100,20 @@ class Hinge:
 class Mode:
     """A way the scene can move: for nothing (null), or for little (weak)."""
 
-    #: Singular value, the largest one of the scene being 1.
+    #: Rms angle by which rays turn where the views move by their size, radians.
     value: float
     #: Whether the bearings do not resist at all.
     is_null: bool
     #: Rms movement of the views at one standard deviation of the bearings, as a share of their size; inf where null.
     movement: float
-    #: (n_views, d) displacement of each view at one standard deviation; for a null mode, of unit rms over the scene's
-    #: size.
+    #: The component that moves in itself; for a null mode, the one that stands still.
+    component: int | None
+    #: (n_views, d) displacement of each view at one standard deviation; of the rms of the scene's size for a null mode.
     view_displacement: Float
     #: (n_tracks, d) the same for points.
     track_displacement: Float
-    #: (n_views,) turn of each view along the mode in radians, zero where orientations are known.
+    #: (n_views, 3) turn of each view in the world along the mode, zero where orientations are known; in the plane the
+    #: first entry counts.
     view_turn_rad: Float
 
 
@@ -367,6 +369,7 @@ def _mode_dict(mode: Mode) -> dict[str, Any]:
         "value": _plain(mode.value),
         "is_null": bool(mode.is_null),
         "movement": _plain(mode.movement),
+        "component": mode.component,
         "view_displacement": _plain(mode.view_displacement),
         "view_turn_rad": _plain(mode.view_turn_rad),
         "tracks": {"count": int((speed > 0.0).sum()), "indices": _plain(fastest)},

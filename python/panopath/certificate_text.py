@@ -104,7 +104,9 @@ def spectrum_lines(certificate: Certificate) -> list[str]:
     ]
     first_other = certificate.gap.first_other
     above = f"smallest other {first_other:.2g}" if np.isfinite(first_other) else "no other"
-    told.append(f"singular values: largest null {certificate.gap.last_null:.2g}, {above} (largest of all 1)")
+    told.append(
+        f"rays turned where views move by their size, radians: largest null {certificate.gap.last_null:.2g}, {above}"
+    )
     told.append(
         f"noise: {_degrees(certificate.sigma_rad)} ({_SIGMA_SOURCE[certificate.sigma_source]}); weak is what it moves "
         f"by more than {percent(certificate.weak_movement)} of a part's size"
@@ -366,7 +368,7 @@ def _mode_line(number: int, mode: Mode, names: Names) -> str:
     movers = [np.flatnonzero(speed > _MOVES * fastest) if fastest > 0.0 else np.empty(0, int) for speed in speeds]
     what = "null" if mode.is_null else f"{percent(mode.movement)} of the size"
     who = names.of_both(movers[0], movers[1]) or "turns only"
-    return f"mode {number} ({what}, singular value {mode.value:.2g}): moves {who}"
+    return f"mode {number} ({what}, rays turn by {mode.value:.2g}): moves {who}"
 
 
 def _listed(kind: str, members: npt.ArrayLike, names: Sequence[str] | None) -> str:

@@ -8,6 +8,7 @@ mod motion;
 mod orientation;
 mod positions;
 mod refinement;
+mod rigidity;
 mod sphere;
 mod synthetic;
 mod table;
@@ -23,6 +24,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     motion::register(module)?;
     positions::register(module)?;
     refinement::register(module)?;
+    rigidity::register(module)?;
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)?;

@@ -86,7 +86,7 @@ def mode_frames(
     InputError
         Where there is no null mode to move along, or the scene has no observations.
     """
-    found = mode or next((m for m in certificate.modes if m.is_null), None)
+    found = mode or next(iter(null_modes(scene, certificate)), None)
     if found is None or scene.tracks is None or certificate.orientation != "known":
         raise InputError("certificate has no null mode of known orientations to move a scene along")
     if still is None:
@@ -107,6 +107,28 @@ def mode_frames(
         point_moves,
         *_colours(certificate, view_moves, point_moves),
     )
+
+
+def null_modes(scene: Scene, certificate: Certificate) -> list[Mode]:
+    """Give the null modes of a certificate, and one for each further member that can slide: of these it has the line.
+
+    Parameters
+    ----------
+    scene, certificate
+        As in :func:`mode_frames`.
+    """
+    sliding = np.vstack((certificate.view_line, certificate.track_line))
+    found = [mode for mode in certificate.modes if mode.is_null]
+    told = np.zeros(len(sliding), dtype=np.bool_)
+    for mode in found:
+        still = certificate.settled(mode, scene.centers, scene.points)
+        told |= (np.abs(np.vstack((still.view_displacement, still.track_displacement))) > 0.0).any(axis=1)
+    for member in np.flatnonzero(np.isfinite(sliding).all(axis=1) & ~told):
+        moved = np.zeros_like(sliding)
+        moved[member] = sliding[member]
+        views, points = np.split(moved, [len(scene.centers)])
+        found.append(Mode(0.0, True, np.inf, 0, views, points, np.zeros((len(views), 3))))
+    return found
 
 
 def _colours(certificate: Certificate, view_moves: Bool, point_moves: Bool) -> tuple[list[str], list[str]]:

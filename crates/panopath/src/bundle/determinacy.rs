@@ -4,6 +4,7 @@ use super::newton::{CameraStep, NewtonWeights, point_displacement};
 use super::noise::FitSize;
 use super::part::{Lanes, for_each_chunk};
 use super::reduced::Factorised;
+use crate::geometry::{Vector, sub};
 use crate::least_squares::{LeastSquaresError, inner};
 
 /// Bearings that scatter by more than this about their best fit say nothing about positions: random directions do no worse.
@@ -127,6 +128,55 @@ fn stretch_of<const D: usize>(weights: &NewtonWeights<'_, D>, step: &impl Camera
     Stretch { turned, spread }
 }
 
+/// Motions of a whole part that no bearing tells of.
+pub(crate) struct Motions<'a> {
+    pub translation: bool,
+    /// Axes that it may turn about; in the plane the first entry counts.
+    pub axes: &'a [[f64; 3]],
+    pub scale: bool,
+}
+
+impl Motions<'_> {
+    /// What each of them does to the unknowns of all cameras, `V` numbers a camera: `(omega, dc)`, or `dc` where `V = D`.
+    /// Turns and changes of size leave `origin` in place.
+    pub fn of_cameras<const D: usize, const V: usize>(&self, centers: &[Lanes], origin: &Vector<D>) -> Vec<Vec<f64>> {
+        let n_turns = V - D;
+        let each = |of: &dyn Fn(Vector<D>, &mut [f64])| {
+            let mut column = vec![0.0; centers.len() * V];
+            for (center, unknowns) in centers.iter().zip(column.chunks_exact_mut(V)) {
+                of(sub(&center.vector::<D>(), origin), unknowns);
+            }
+            column
+        };
+        let mut basis = Vec::new();
+        if self.translation {
+            basis.extend((0..D).map(|c| each(&|_, x| x[n_turns + c] = 1.0)));
+        }
+        for axis in self.axes {
+            // turning the world by the axis turns a camera by its opposite
+            basis.push(each(&|arm, x| {
+                (0..n_turns).for_each(|k| x[k] = -axis[k]);
+                x[n_turns..].copy_from_slice(&across(axis, &arm));
+            }));
+        }
+        if self.scale {
+            basis.push(each(&|arm, x| x[n_turns..].copy_from_slice(&arm)));
+        }
+        basis
+    }
+}
+
+/// `axis x arm`; in the plane the turn by `axis[0]`.
+pub(crate) fn across<const D: usize>(axis: &[f64; 3], arm: &Vector<D>) -> Vector<D> {
+    if D == 2 {
+        return std::array::from_fn(|c| axis[0] * if c == 0 { -arm[1] } else { arm[0] });
+    }
+    std::array::from_fn(|c| {
+        let (i, j) = ((c + 1) % D, (c + 2) % D);
+        axis[i] * arm[j] - axis[j] * arm[i]
+    })
+}
+
 /// Displacements that change nothing, orthonormal.
 pub(crate) struct GaugeBasis {
     basis: Vec<Vec<f64>>,
@@ -147,6 +197,17 @@ impl GaugeBasis {
             }
         }
         gauge
+    }
+
+    /// Number of freedoms.
+    pub fn len(&self) -> usize {
+        self.basis.len()
+    }
+
+    /// A displacement of all cameras with the gauge taken out.
+    pub fn removed(&self, mut x: Vec<f64>) -> Vec<f64> {
+        self.remove(&mut x);
+        x
     }
 
     /// Takes the gauge out of a displacement of all cameras.

@@ -146,6 +146,11 @@ impl<const V: usize> FullSystem<V> {
         }
     }
 
+    /// Which nodes are coupled, and the lower triangle as it was assembled last.
+    pub fn matrix(&self) -> (&BlockPattern, &[f64]) {
+        (&self.pattern, &self.values)
+    }
+
     /// Factorises the assembled system.
     pub fn factorise(&mut self) -> Result<(), LeastSquaresError> {
         self.solver.factorise(&self.pattern, &self.values)

@@ -13,3 +13,5 @@ pub(crate) mod noise;
 pub(crate) mod part;
 pub(crate) mod points;
 pub(crate) mod reduced;
+pub(crate) mod system;
+pub(crate) mod turns;

@@ -514,3 +514,19 @@ pub fn symmetric_eigen<const D: usize>(m: &Matrix<D>) -> Result<([f64; D], [Vect
     let (values, vectors) = (eigen.S(), eigen.U());
     Ok((std::array::from_fn(|k| values[k]), std::array::from_fn(|k| std::array::from_fn(|r| vectors[(r, k)]))))
 }
+
+/// Eigenvalues of a symmetric matrix given by rows, in ascending order, with their unit eigenvectors.
+///
+/// # Errors
+/// [`LeastSquaresError::Singular`] where the entries are not finite.
+pub fn symmetric_eigen_of(rows: &[Vec<f64>]) -> Result<(Vec<f64>, Vec<Vec<f64>>), LeastSquaresError> {
+    let n = rows.len();
+    if rows.iter().flatten().any(|x| !x.is_finite()) {
+        return Err(LeastSquaresError::Singular { pivot: 0 });
+    }
+    let matrix = faer::Mat::from_fn(n, n, |r, c| 0.5 * (rows[r][c] + rows[c][r]));
+    let eigen = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
+    let (values, vectors) = (eigen.S(), eigen.U());
+    let columns = (0..n).map(|k| (0..n).map(|r| vectors[(r, k)]).collect()).collect();
+    Ok(((0..n).map(|k| values[k]).collect(), columns))
+}

@@ -6,7 +6,7 @@
 
 use super::options::PositionError;
 use super::{Members, PositionSystem, Rays, position_system};
-use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, clear_held, weakest_mode_is_loose};
+use crate::bundle::determinacy::{GUARD, GaugeBasis, MEANINGLESS_RAD, Motions, clear_held, weakest_mode_is_loose};
 use crate::bundle::estimate::{Estimate, normalise};
 use crate::bundle::newton::{NewtonWeights, Shifts};
 use crate::bundle::noise::median;
@@ -52,9 +52,8 @@ pub(super) fn is_loose<const D: usize>(
 fn gauge_of<const D: usize>(centers: &[Lanes]) -> GaugeBasis {
     let mut centred = centers.to_vec();
     normalise(&mut centred);
-    let translation = |c: usize| (0..centers.len() * D).map(|k| f64::from(k % D == c)).collect();
-    let scale = centred.iter().flat_map(|c| c.vector::<D>()).collect();
-    GaugeBasis::new((0..D).map(translation).chain([scale]).collect())
+    let motions = Motions { translation: true, axes: &[], scale: true };
+    GaugeBasis::new(motions.of_cameras::<D, D>(&centred, &[0.0; D]))
 }
 
 /// Covariance of the camera centres that the noise allows (the Cramer-Rao bound) at a structure, for instance the truth.

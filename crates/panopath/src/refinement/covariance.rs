@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use super::descent::State;
 use super::gauge::{Gauge, solve_small};
 use super::options::{RefineError, RefineOptions};
-use super::poses::{PoseRow, Turns, turns};
 use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::noise::FitSize;
@@ -20,6 +19,7 @@ use crate::bundle::part::{Lanes, Part};
 use crate::bundle::reduced::{
     Damping, Factorised, Freedoms, PointSum, ReducedSystem, Row, Weighing, most_observed_node,
 };
+use crate::bundle::turns::{PoseRow, Turns, turns};
 use crate::geometry::Matrix;
 use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse, inner};
 use crate::structure::Structure;

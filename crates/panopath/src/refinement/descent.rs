@@ -1,82 +1,15 @@
 //! Gauss-Newton over orientations, centres and points.
 
-use super::poses::{PoseRow, PoseStep, Poses, Sights, Turns};
+use super::poses::{Poses, Sights};
 use super::priors::PartPriors;
 use crate::bundle::estimate::Estimate;
-use crate::bundle::full::FullSystem;
 use crate::bundle::levenberg::{Descent, Effort, Problem, minimise};
 use crate::bundle::newton::{NewtonWeights, Residuals, follow_cameras, sum_in_chunks};
 use crate::bundle::part::{Lanes, Part};
-use crate::bundle::reduced::{CameraTerm, Damping, Factorised, ReducedSystem, Weighing};
-use crate::least_squares::{LeastSquaresError, LinearSolver};
-
-/// The system of cameras that turn and move: points eliminated, or kept where they are fewer.
-pub(super) enum PoseSystem<const D: usize, const V: usize> {
-    Reduced(ReducedSystem<D, V, PoseRow>),
-    Full(FullSystem<V>),
-}
-
-impl<const D: usize, const V: usize> PoseSystem<D, V> {
-    /// Analyses a part; `held` are the unknowns of cameras that stay zero.
-    pub fn analyse(part: &Part<D>, solver: LinearSolver, held: Vec<bool>) -> Result<Self, LeastSquaresError> {
-        if part.n_tracks() < part.n_nodes {
-            FullSystem::analyse(part, held).map(Self::Full)
-        } else {
-            ReducedSystem::analyse(part, solver, held).map(Self::Reduced)
-        }
-    }
-
-    pub fn assemble(
-        &mut self,
-        part: &Part<D>,
-        weighing: &impl Weighing<D>,
-        turns: &Turns<'_, D>,
-        terms: &[CameraTerm<V>],
-        damping: Damping,
-    ) {
-        match self {
-            Self::Reduced(system) => system.assemble(part, weighing, turns, terms, damping),
-            Self::Full(system) => system.assemble(part, weighing, turns, terms, damping),
-        }
-    }
-
-    pub fn factorise(&mut self) -> Result<(), LeastSquaresError> {
-        match self {
-            Self::Reduced(system) => system.factorise(),
-            Self::Full(system) => system.factorise(),
-        }
-    }
-
-    fn solve(&mut self) -> Result<Vec<[f64; V]>, LeastSquaresError> {
-        match self {
-            Self::Reduced(system) => system.solve(),
-            Self::Full(system) => system.solve(),
-        }
-    }
-}
-
-impl<const D: usize, const V: usize> Factorised for PoseSystem<D, V> {
-    fn solve_for(&self, right: &mut [f64]) -> Result<(), LeastSquaresError> {
-        match self {
-            Self::Reduced(system) => Factorised::solve_for(system, right),
-            Self::Full(system) => system.solve_for(right),
-        }
-    }
-
-    fn held(&self) -> &[bool] {
-        match self {
-            Self::Reduced(system) => Factorised::held(system),
-            Self::Full(system) => system.held(),
-        }
-    }
-
-    fn diagonal(&self) -> &[f64] {
-        match self {
-            Self::Reduced(system) => system.diagonal(),
-            Self::Full(system) => system.diagonal(),
-        }
-    }
-}
+use crate::bundle::reduced::Damping;
+use crate::bundle::system::CameraSystem;
+use crate::bundle::turns::{PoseRow, PoseStep, Turns};
+use crate::least_squares::LeastSquaresError;
 
 /// What does not change while a part is refined.
 pub(super) struct Given<'a, const D: usize> {
@@ -109,7 +42,7 @@ impl<const D: usize> State<D> {
 /// Minimises over the kept observations, from `state` as it stands.
 pub(super) fn descend<const D: usize, const V: usize>(
     given: &Given<'_, D>,
-    system: &mut PoseSystem<D, V>,
+    system: &mut CameraSystem<D, V, PoseRow>,
     state: &mut State<D>,
     keep: &[bool],
     sigma: f64,
@@ -130,7 +63,7 @@ pub(super) fn descend<const D: usize, const V: usize>(
 
 struct Bundle<'a, const D: usize, const V: usize> {
     given: &'a Given<'a, D>,
-    system: &'a mut PoseSystem<D, V>,
+    system: &'a mut CameraSystem<D, V, PoseRow>,
     state: &'a mut State<D>,
     keep: &'a [bool],
     huber: f64,

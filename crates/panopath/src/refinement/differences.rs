@@ -1,7 +1,8 @@
 //! Derivatives by central differences, for tests of the analytic ones.
 
-use super::poses::{Poses, shift_of, turn_of};
+use super::poses::{Poses, turn_of};
 use crate::bundle::part::Lanes;
+use crate::bundle::turns::shift_of;
 
 /// One column for each of the `V` unknowns `(omega, dc)` of the node 0.
 pub(super) fn by_unknowns<const D: usize, const V: usize, const N: usize>(

@@ -1,10 +1,11 @@
 //! What bearings and priors leave free of a component: its place, its turn, its size.
 
 use super::options::Held;
-use super::poses::turns;
 use super::priors::PartPriors;
+use crate::bundle::determinacy::Motions;
 use crate::bundle::part::Lanes;
-use crate::geometry::{Vector, normalized, sub};
+use crate::bundle::turns::turns;
+use crate::geometry::{Vector, normalized};
 
 /// Freedoms of a component that nothing fixes.
 #[derive(Clone)]
@@ -87,29 +88,8 @@ impl<const D: usize> Gauge<D> {
 
     /// What each freedom does to the unknowns `(omega, dc)` of all cameras: one vector of `V` numbers a camera for each.
     pub fn basis<const V: usize>(&self, centers: &[Lanes]) -> Vec<Vec<f64>> {
-        let n_turns = turns(D);
-        let each = |of: &dyn Fn(Vector<D>, &mut [f64])| {
-            let mut column = vec![0.0; centers.len() * V];
-            for (center, unknowns) in centers.iter().zip(column.chunks_exact_mut(V)) {
-                of(sub(&center.vector::<D>(), &self.origin), unknowns);
-            }
-            column
-        };
-        let mut basis = Vec::new();
-        if self.translation {
-            basis.extend((0..D).map(|c| each(&|_, x| x[n_turns + c] = 1.0)));
-        }
-        for axis in self.axes() {
-            // turning the world by the axis turns a camera by its opposite
-            basis.push(each(&|arm, x| {
-                (0..n_turns).for_each(|k| x[k] = -axis[k]);
-                x[n_turns..].copy_from_slice(&across(&axis, &arm));
-            }));
-        }
-        if self.scale {
-            basis.push(each(&|arm, x| x[n_turns..].copy_from_slice(&arm)));
-        }
-        basis
+        let motions = Motions { translation: self.translation, axes: &self.axes(), scale: self.scale };
+        motions.of_cameras::<D, V>(centers, &self.origin)
     }
 
     /// What has to stay zero of the unknowns of a node, so that turns and places are fixed: its own.
@@ -134,17 +114,6 @@ impl<const D: usize> Gauge<D> {
 
 fn centroid<const D: usize>(centers: &[Lanes]) -> Vector<D> {
     std::array::from_fn(|c| centers.iter().map(|x| x.0[c]).sum::<f64>() / centers.len() as f64)
-}
-
-/// `axis x arm`; in the plane the turn by `axis[0]`.
-fn across<const D: usize>(axis: &[f64; 3], arm: &Vector<D>) -> Vector<D> {
-    if D == 2 {
-        return std::array::from_fn(|c| axis[0] * if c == 0 { -arm[1] } else { arm[0] });
-    }
-    std::array::from_fn(|c| {
-        let (i, j) = ((c + 1) % D, (c + 2) % D);
-        axis[i] * arm[j] - axis[j] * arm[i]
-    })
 }
 
 /// Solves a small system by Gaussian elimination with pivoting, for several right-hand sides given by columns; `None` where

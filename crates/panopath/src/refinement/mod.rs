@@ -18,6 +18,8 @@ use crate::bundle::noise::{
 use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::points::{reconsider, repair_cheirality, without_parallax, without_tracks};
 use crate::bundle::reduced::{Damping, Factorised, most_observed_node};
+use crate::bundle::system::CameraSystem;
+use crate::bundle::turns::{PoseRow, PoseStep, Turns, turns};
 use crate::geometry::{Rotation, Similarity, Vector};
 use crate::least_squares::{LeastSquaresError, nearest_rotation};
 use crate::structure::{Status, Structure, Summary, Timings};
@@ -37,9 +39,9 @@ pub use options::{DirectionPrior, Held, PositionPrior, Priors, RefineError, Refi
 
 pub use covariance::{CovarianceGauge, Covariances, covariance};
 
-use descent::{Given, PoseSystem, State, descend};
+use descent::{Given, State, descend};
 use gauge::Gauge;
-use poses::{PoseStep, Poses, Sights, Turns, turns};
+use poses::{Poses, Sights};
 use priors::PartPriors;
 
 /// Refines orientations, centres and points together, each component of `start` by itself.
@@ -298,7 +300,7 @@ impl<const D: usize> Piece<D> {
         timings: &mut Timings,
     ) -> Result<Refined<D>, LeastSquaresError> {
         let clock = Instant::now();
-        let mut system = PoseSystem::<D, V>::analyse(&self.part, options.linear_solver, self.held.clone())?;
+        let mut system = CameraSystem::<D, V, PoseRow>::analyse(&self.part, options.linear_solver, self.held.clone())?;
         timings.analyse_s += clock.elapsed().as_secs_f64();
         let clock = Instant::now();
         let mut state = State::new(&self.sights, &self.part, self.poses.clone(), self.points.clone());
@@ -324,7 +326,7 @@ impl<const D: usize> Piece<D> {
     /// Do the kept observations leave a freedom beyond the gauge, as far as the noise lets one tell?
     fn is_loose<const V: usize>(
         &self,
-        system: &mut PoseSystem<D, V>,
+        system: &mut CameraSystem<D, V, PoseRow>,
         refined: &Refined<D>,
     ) -> Result<bool, LeastSquaresError> {
         if refined.sigma.is_nan() || refined.sigma > MEANINGLESS_RAD {
@@ -480,7 +482,7 @@ const NOISE_FALLS: f64 = 0.03;
 /// shrink from round to round.
 fn settle<const D: usize, const V: usize>(
     given: &Given<'_, D>,
-    system: &mut PoseSystem<D, V>,
+    system: &mut CameraSystem<D, V, PoseRow>,
     mut state: State<D>,
     max_iterations: usize,
 ) -> Result<Refined<D>, LeastSquaresError> {
@@ -512,7 +514,7 @@ fn settle<const D: usize, const V: usize>(
 /// The last round, to the minimum.
 fn finish<const D: usize, const V: usize>(
     given: &Given<'_, D>,
-    system: &mut PoseSystem<D, V>,
+    system: &mut CameraSystem<D, V, PoseRow>,
     mut state: State<D>,
     keep: Vec<bool>,
     sigma: f64,

@@ -9,9 +9,8 @@
 
 use rayon::prelude::*;
 
-use crate::bundle::newton::CameraStep;
-use crate::bundle::part::{Lanes, Layout, Part};
-use crate::bundle::reduced::{Freedoms, Row};
+use crate::bundle::part::{Lanes, Layout};
+use crate::bundle::turns::{shift_of, turns};
 use crate::geometry::{Rotation, Vector, apply};
 
 /// Where the nodes of a part stand and how they are turned.
@@ -61,125 +60,19 @@ impl<const D: usize> Poses<D> {
     }
 }
 
-/// Components of a turn: one in the plane, three in space.
-pub(super) const fn turns(d: usize) -> usize {
-    d * (d - 1) / 2
-}
-
 /// Rotation by the first unknowns of a camera.
 pub(super) fn turn_of<const D: usize, const V: usize>(x: &[f64; V]) -> Rotation<D> {
     Rotation::exp_of(&x[..turns(D)])
-}
-
-/// The unknowns that follow them.
-pub(super) fn shift_of<const D: usize, const V: usize>(x: &[f64; V]) -> Lanes {
-    Lanes::from_vector::<D>(&std::array::from_fn(|c| x[turns(D) + c]))
-}
-
-/// A row of a block of poses: at most six numbers.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-pub(super) struct PoseRow([f64; 8]);
-
-impl Row for PoseRow {
-    const ZERO: Self = Self([0.0; 8]);
-
-    #[inline(always)]
-    fn plus(&self, other: &Self) -> Self {
-        Self(std::array::from_fn(|c| self.0[c] + other.0[c]))
-    }
-
-    #[inline(always)]
-    fn plus_scaled(&self, s: f64, other: &Self) -> Self {
-        Self(std::array::from_fn(|c| self.0[c] + s * other.0[c]))
-    }
-
-    #[inline(always)]
-    fn at(&self, k: usize) -> f64 {
-        self.0[k]
-    }
-}
-
-/// Cameras that turn and move about the given centres.
-pub(super) struct Turns<'a, const D: usize> {
-    pub part: &'a Part<D>,
-    pub centers: &'a [Lanes],
-    pub points: &'a [Lanes],
-}
-
-impl<const D: usize> Turns<'_, D> {
-    /// `x - c`.
-    #[inline(always)]
-    fn arm(&self, o: usize, j: usize) -> Lanes {
-        self.points[j].minus(&self.centers[self.part.node_of(o) as usize])
-    }
-}
-
-impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
-    type Row = PoseRow;
-
-    #[inline(always)]
-    fn lift(&self, o: usize, j: usize, row: &Lanes) -> PoseRow {
-        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
-        let Lanes([x, y, z, _]) = *row;
-        if D == 2 {
-            PoseRow([x * dy - y * dx, x, y, 0.0, 0.0, 0.0, 0.0, 0.0])
-        } else {
-            PoseRow([y * dz - z * dy, z * dx - x * dz, x * dy - y * dx, x, y, z, 0.0, 0.0])
-        }
-    }
-
-    #[inline(always)]
-    fn lift_rows(&self, o: usize, j: usize, rows: &[PoseRow; D]) -> [PoseRow; V] {
-        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
-        let mut lifted = [PoseRow::ZERO; V];
-        let zero = PoseRow::ZERO;
-        if D == 2 {
-            lifted[0] = zero.plus_scaled(dy, &rows[0]).plus_scaled(-dx, &rows[1]);
-        } else {
-            lifted[0] = zero.plus_scaled(dz, &rows[1]).plus_scaled(-dy, &rows[2]);
-            lifted[1] = zero.plus_scaled(dx, &rows[2]).plus_scaled(-dz, &rows[0]);
-            lifted[2] = zero.plus_scaled(dy, &rows[0]).plus_scaled(-dx, &rows[1]);
-        }
-        lifted[turns(D)..turns(D) + D].copy_from_slice(rows);
-        lifted
-    }
-
-    #[inline(always)]
-    fn holds_point(&self, j: usize) -> bool {
-        self.part.holds_point(j)
-    }
-}
-
-/// A step of all poses, as points see it.
-pub(super) struct PoseStep<'a, const D: usize, const V: usize> {
-    pub layout: &'a Layout,
-    pub centers: &'a [Lanes],
-    pub step: Vec<[f64; V]>,
-}
-
-impl<const D: usize, const V: usize> CameraStep for PoseStep<'_, D, V> {
-    #[inline(always)]
-    fn displacement(&self, station: usize, point: &Lanes) -> Lanes {
-        let node = self.layout.node[station] as usize;
-        let step = &self.step[node];
-        let Lanes([dx, dy, dz, _]) = point.minus(&self.centers[node]);
-        if D == 2 {
-            let turn = step[0];
-            Lanes([step[1] + turn * dy, step[2] - turn * dx, 0.0, 0.0])
-        } else {
-            let (x, y, z) = (step[0], step[1], step[2]);
-            let shift = shift_of::<D, V>(step);
-            shift.plus(&Lanes([dy * z - dz * y, dz * x - dx * z, dx * y - dy * x, 0.0]))
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::differences::{by_place, by_unknowns};
     use super::*;
-    use crate::bundle::part::Stations;
+    use crate::bundle::newton::CameraStep;
+    use crate::bundle::part::{Part, Stations};
+    use crate::bundle::reduced::{Freedoms, Row};
+    use crate::bundle::turns::{PoseRow, PoseStep, Turns};
     use crate::geometry::normalized;
 
     /// One observation of one point from a station off the centre.

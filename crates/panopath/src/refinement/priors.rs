@@ -11,9 +11,10 @@
 //! | position `p` | `c - p` | `I` by `dc` |
 
 use super::options::{DirectionPrior, PositionPrior, Priors, RefineError, RotationPrior};
-use super::poses::{Poses, turns};
+use super::poses::Poses;
 use crate::bundle::newton::{huber_cost, huber_weight};
 use crate::bundle::reduced::CameraTerm;
+use crate::bundle::turns::turns;
 use crate::geometry::{Matrix, Rotation, Similarity, Vector, dot, norm, sub};
 use crate::least_squares::inverse_of_positive;
 

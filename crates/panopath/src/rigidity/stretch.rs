@@ -1,0 +1,223 @@
+//! Rigid components, from how fast each segment stretches.
+//!
+//! A null vector changes every observed segment along itself alone: `dX_j - q_ij = lambda_ij u_ij`. Two observations belong
+//! to one rigid component if and only if their stretch rates are equal in every null vector (and the turns of their views, where
+//! these turn) and they are connected through members with the same rates.
+
+use super::frame::Frame;
+use super::spectrum::{Mode, scattered};
+use crate::bundle::determinacy::across;
+use crate::bundle::part::Lanes;
+use crate::geometry::{Vector, add, dot, scale, sub};
+
+/// Combinations of null vectors that stand for all of them: rates that differ in one differ in a random combination.
+const COMBINATIONS: usize = 6;
+/// Rates differ where their difference moves an end of a segment by more than this share of the size.
+const SAME: f64 = 1e-6;
+/// Rays nearer to parallel fix no distance.
+pub(super) const PARALLEL: f64 = 1e-8;
+
+/// Rigid components of the observations of a frame, in its order; -1 where an observation stands alone.
+/// Rays within `parallel` of each other fix no distance.
+pub(super) fn components<const D: usize, const W: usize>(frame: &Frame<D>, null: &[Mode], parallel: f64) -> Vec<i32> {
+    let part = &frame.part;
+    let slides: Vec<bool> = (0..part.n_tracks()).map(|j| frame.is_parallel(j, parallel)).collect();
+    let rates = rates::<D, W>(frame, &combinations(null));
+    let mut sets = Sets::new(part.n_observations());
+    for j in (0..part.n_tracks()).filter(|&j| !slides[j]) {
+        join_equal(&rates, part.observations(j), &mut sets);
+    }
+    let mut of_view: Vec<Vec<usize>> = vec![Vec::new(); part.n_views];
+    for j in (0..part.n_tracks()).filter(|&j| !slides[j]) {
+        part.observations(j).for_each(|o| of_view[part.view[o] as usize].push(o));
+    }
+    for observations in of_view {
+        join_equal(&rates, observations.into_iter(), &mut sets);
+    }
+    sets.labels()
+}
+
+/// A few null vectors that tell apart what all of them do.
+fn combinations(null: &[Mode]) -> Vec<Vec<f64>> {
+    if null.len() <= COMBINATIONS {
+        return null.iter().map(|mode| mode.step.clone()).collect();
+    }
+    let mixed = |k: usize| {
+        let mut sum = vec![0.0; null[0].step.len()];
+        for (m, mode) in null.iter().enumerate() {
+            let weight = scattered(k * null.len() + m);
+            sum.iter_mut().zip(&mode.step).for_each(|(s, x)| *s += weight * x);
+        }
+        sum
+    };
+    (0..COMBINATIONS).map(mixed).collect()
+}
+
+/// What is compared of each observation, and how exactly: rates and turns one after the other.
+struct Rates {
+    each: usize,
+    rate: Vec<f64>,
+    /// Smallest difference that is one.
+    tolerance: Vec<f64>,
+}
+
+fn rates<const D: usize, const W: usize>(frame: &Frame<D>, null: &[Vec<f64>]) -> Rates {
+    let part = &frame.part;
+    let n_turns = W - D;
+    let each = null.len() * (1 + n_turns);
+    let mut rate = vec![0.0; part.n_observations() * each];
+    let mut tolerance = vec![0.0; part.n_observations()];
+    for (k, step) in null.iter().enumerate() {
+        let followers = frame.followers::<W>(step);
+        for (j, follower) in followers.iter().enumerate() {
+            for o in part.observations(j) {
+                let u = frame.segment(o, j);
+                let squared = u.dot::<D>(&u);
+                let moved = follower.minus(&frame.origin_shift::<W>(step, o, j));
+                let row = &mut rate[o * each + k * (1 + n_turns)..];
+                row[0] = u.dot::<D>(&moved) / squared;
+                let node = part.node_of(o) as usize;
+                row[1..=n_turns].copy_from_slice(&step[node * W..node * W + n_turns]);
+                let reach = 1.0 + follower.dot::<D>(follower).sqrt();
+                tolerance[o] = SAME * f64::max(tolerance[o] / SAME, reach / squared.sqrt() + 1.0);
+            }
+        }
+    }
+    Rates { each, rate, tolerance }
+}
+
+impl Rates {
+    fn equal(&self, a: usize, b: usize) -> bool {
+        let limit = self.tolerance[a] + self.tolerance[b];
+        let (x, y) = (&self.rate[a * self.each..][..self.each], &self.rate[b * self.each..][..self.each]);
+        x.iter().zip(y).all(|(x, y)| (x - y).abs() <= limit)
+    }
+}
+
+/// Joins the observations of one member whose rates are equal.
+fn join_equal(rates: &Rates, observations: impl Iterator<Item = usize>, sets: &mut Sets) {
+    let mut kinds: Vec<usize> = Vec::new();
+    for o in observations {
+        match kinds.iter().find(|&&kind| rates.equal(kind, o)) {
+            Some(&kind) => sets.join(kind, o),
+            None => kinds.push(o),
+        }
+    }
+}
+
+/// Disjoint sets, the smallest member of each its root.
+struct Sets {
+    parent: Vec<u32>,
+}
+
+impl Sets {
+    fn new(n: usize) -> Self {
+        Self { parent: (0..n as u32).collect() }
+    }
+
+    fn root(&mut self, mut a: usize) -> usize {
+        while self.parent[a] as usize != a {
+            self.parent[a] = self.parent[self.parent[a] as usize];
+            a = self.parent[a] as usize;
+        }
+        a
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.parent[a.max(b)] = a.min(b) as u32;
+    }
+
+    /// Numbers from 0 for sets of two and more, -1 for single ones.
+    fn labels(mut self) -> Vec<i32> {
+        let n = self.parent.len();
+        let mut count = vec![0u32; n];
+        (0..n).for_each(|o| {
+            let root = self.root(o);
+            count[root] += 1;
+        });
+        let mut number = vec![-1; n];
+        for (next, root) in (0..n).filter(|&root| count[root] > 1).enumerate() {
+            number[root] = next as i32;
+        }
+        (0..n).map(|o| number[self.root(o)]).collect()
+    }
+}
+
+/// How a body moves in a mode: `dx = shift + growth (x - centroid) + turn x (x - centroid)`.
+pub(super) struct BodyMotion<const D: usize> {
+    centroid: Vector<D>,
+    shift: Vector<D>,
+    growth: f64,
+    /// About the axes; in the plane the first counts. Zero where turns are not free.
+    turn: [f64; 3],
+}
+
+/// What every member of a frame does in a mode.
+pub(super) struct Motion<const D: usize> {
+    pub views: Vec<Vector<D>>,
+    pub turns: Vec<[f64; 3]>,
+    pub points: Vec<Vector<D>>,
+}
+
+impl<const D: usize> Motion<D> {
+    pub fn of<const W: usize>(frame: &Frame<D>, step: &[f64]) -> Self {
+        let unknowns = step.as_chunks::<W>().0.iter();
+        Self {
+            views: unknowns.clone().map(|x| std::array::from_fn(|c| x[W - D + c])).collect(),
+            turns: unknowns.map(|x| std::array::from_fn(|c| if c < W - D { x[c] } else { 0.0 })).collect(),
+            points: frame.followers::<W>(step).iter().map(Lanes::vector::<D>).collect(),
+        }
+    }
+
+    /// Rms displacement of all members.
+    pub fn rms(&self) -> f64 {
+        let squares = self.views.iter().chain(&self.points).map(|dx| dot(dx, dx));
+        (squares.sum::<f64>() / (self.views.len() + self.points.len()) as f64).sqrt()
+    }
+
+    /// Takes the motion of a body off every member, so that the body stands still.
+    pub fn relative_to(&mut self, body: &BodyMotion<D>, frame: &Frame<D>) {
+        for (dx, x) in self.views.iter_mut().zip(&frame.estimate.centers) {
+            *dx = sub(dx, &body.at(&x.vector::<D>()));
+        }
+        for (dx, x) in self.points.iter_mut().zip(&frame.estimate.points) {
+            *dx = sub(dx, &body.at(&x.vector::<D>()));
+        }
+        for turn in &mut self.turns {
+            // a body that turns takes its cameras with it: their own turn is the opposite
+            (0..3).for_each(|k| turn[k] += body.turn[k]);
+        }
+    }
+}
+
+impl<const D: usize> BodyMotion<D> {
+    /// The motion of some views and points that move as one.
+    pub fn of(frame: &Frame<D>, motion: &Motion<D>, views: &[usize], tracks: &[usize]) -> Self {
+        let members = || {
+            let views = views.iter().map(|&v| (frame.estimate.centers[v].vector::<D>(), motion.views[v]));
+            views.chain(tracks.iter().map(|&j| (frame.estimate.points[j].vector::<D>(), motion.points[j])))
+        };
+        let n = (views.len() + tracks.len()) as f64;
+        let mean = |of: &dyn Fn(&(Vector<D>, Vector<D>)) -> Vector<D>| -> Vector<D> {
+            members().fold([0.0; D], |sum, m| add(&sum, &scale(1.0 / n, &of(&m))))
+        };
+        let (centroid, shift) = (mean(&|m| m.0), mean(&|m| m.1));
+        let turn = std::array::from_fn(|k| {
+            -views.iter().map(|&v| motion.turns[v][k]).sum::<f64>() / views.len().max(1) as f64
+        });
+        let (mut along, mut squared) = (0.0, 0.0);
+        for (x, dx) in members() {
+            let arm = sub(&x, &centroid);
+            along += dot(&arm, &sub(&dx, &shift));
+            squared += dot(&arm, &arm);
+        }
+        Self { centroid, shift, growth: if squared > 0.0 { along / squared } else { 0.0 }, turn }
+    }
+
+    fn at(&self, x: &Vector<D>) -> Vector<D> {
+        let arm = sub(x, &self.centroid);
+        let turned = across(&self.turn, &arm);
+        std::array::from_fn(|c| self.shift[c] + self.growth * arm[c] + turned[c])
+    }
+}

@@ -1,0 +1,151 @@
+"""What of a scene is determined, what is not, why, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+
+from panopath import _core
+from panopath.certificate import (
+    Certificate,
+    Consistency,
+    Gap,
+    Hinge,
+    Mode,
+    OrientationModel,
+    RigidComponent,
+    Verdict,
+)
+from panopath.model import InputError, Int, Scene, Tracks, read_only
+from panopath.steps.common import call_core, observations_of
+from panopath.steps.refinement import check_scene
+
+
+@dataclass(frozen=True)
+class CertifyOptions:
+    """Choices of :func:`certify`; the defaults are meant to be right."""
+
+    #: What is known of orientations: all of it, nothing, or the vertical (the third axis of the world).
+    orientation: OrientationModel = "known"
+    #: Angular standard deviation of a bearing, radians, of median sigma where the tracks carry sigmas. None: that of the
+    #: tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
+    sigma_rad: float | None = None
+    #: A movement at one standard deviation beyond this share of a component's size is weak.
+    weak_movement: float = 0.1
+    #: Threads to use; None: all cores. The answer does not depend on it.
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.orientation not in get_args(OrientationModel):
+            raise InputError(f"orientation is {self.orientation!r}, expected one of {get_args(OrientationModel)}")
+        if self.sigma_rad is not None and not (np.isfinite(self.sigma_rad) and self.sigma_rad > 0.0):
+            raise InputError(f"sigma_rad is {self.sigma_rad!r}, expected a positive number")
+        if not (np.isfinite(self.weak_movement) and self.weak_movement > 0.0):
+            raise InputError(f"weak_movement is {self.weak_movement!r}, expected a positive number")
+
+
+def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None) -> Certificate:
+    """Say what of a scene its observations determine.
+
+    Parameters
+    ----------
+    tracks
+        The observations; which view saw which track counts, and their ``sigma_rad``.
+    scene
+        Where all are: what a solver found, or the truth. Its inliers count; every part of it is looked at by itself.
+    options
+        Choices; default ``CertifyOptions()``.
+
+    Returns
+    -------
+    Certificate
+        Rigid components from the stretch rates of the segments in the null space of the bearing-rigidity matrix
+        (Knill & Ramirez-Herran 2007, section 4, for partial visibility and for space), and what noise moves.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that cannot be used.
+    """
+    chosen = CertifyOptions() if options is None else options
+    check_scene(scene, tracks)
+    if tracks.d == 2 and chosen.orientation == "vertical":
+        raise InputError("orientation is 'vertical', which tells nothing in the plane, expected 'known' or 'free'")
+    found = call_core(
+        _core.certify,
+        observations_of(tracks),
+        (scene.centers, scene.points, scene.view_component, scene.track_component),
+        (scene.inlier, scene.residual_rad),
+        {
+            "orientation": chosen.orientation,
+            "sigma_rad": chosen.sigma_rad,
+            "weak_movement": float(chosen.weak_movement),
+            "threads": chosen.threads,
+        },
+    )
+    components = tuple(_component(plain) for plain in found["components"])
+    return Certificate(
+        verdict=Verdict(found["verdict"]),
+        nullity=found["nullity"],
+        gauge_freedoms=found["gauge_freedoms"],
+        gap=Gap(*found["gap"]),
+        components=components,
+        hinges=_hinges(components),
+        modes=tuple(_mode(plain) for plain in found["modes"]),
+        causes=(),
+        consistency=Consistency(passed=True, reasons=(), statistics={}),
+        orientation=chosen.orientation,
+        sigma_rad=found["sigma_rad"],
+        sigma_source=found["sigma_source"],
+        weak_movement=chosen.weak_movement,
+        n_views=len(np.unique(tracks.view)),
+        n_tracks=len(np.unique(tracks.track)),
+        view_component=_largest([c.views for c in components], tracks.n_views),
+        track_component=_largest([c.tracks for c in components], tracks.n_tracks),
+        view_line=found["view_line"],
+        track_line=found["track_line"],
+        view_looseness=found["view_looseness"],
+        track_looseness=found["track_looseness"],
+    )
+
+
+def _component(plain: dict[str, Any]) -> RigidComponent:
+    return RigidComponent(
+        views=read_only(plain["views"]),
+        tracks=read_only(plain["tracks"]),
+        n_observations=plain["n_observations"],
+        verdict=Verdict(plain["verdict"]),
+        weakest_movement=plain["weakest_movement"],
+    )
+
+
+def _mode(plain: dict[str, Any]) -> Mode:
+    arrays = {name: read_only(plain.pop(name)) for name in ("view_displacement", "track_displacement", "view_turn_rad")}
+    return Mode(**plain, **arrays)
+
+
+def _largest(members: list[Int], count: int) -> Int:
+    """The first set that each index is a member of: sets come largest first."""
+    component = np.full(count, -1, dtype=np.int32)
+    for number, ids in reversed(list(enumerate(members))):
+        component[ids] = number
+    return component
+
+
+def _hinges(components: tuple[RigidComponent, ...]) -> tuple[Hinge, ...]:
+    shared: dict[tuple[int, int], tuple[list[int], list[int]]] = {}
+    for kind in (0, 1):
+        homes: dict[int, list[int]] = {}
+        for number, component in enumerate(components):
+            for member in (component.views, component.tracks)[kind].tolist():
+                homes.setdefault(member, []).append(number)
+        for member, numbers in homes.items():
+            for i, a in enumerate(numbers):
+                for b in numbers[i + 1 :]:
+                    shared.setdefault((a, b), ([], []))[kind].append(member)
+    return tuple(
+        Hinge(pair, read_only(np.array(views, dtype=np.int32)), read_only(np.array(tracks, dtype=np.int32)))
+        for pair, (views, tracks) in sorted(shared.items())
+    )
