@@ -66,7 +66,7 @@ class CauseKind(StrEnum):
 
 @dataclass(frozen=True)
 class Gap:
-    """Values of modes on either side of the nullity: rms angle by which rays turn where the views move by their size."""
+    """Values of modes on either side of the nullity: rms angle by which rays turn where views move by their size."""
 
     #: The largest that counts as zero; 0 where none beyond the gauge does.
     last_null: float
@@ -313,6 +313,8 @@ def hold_still(mode: Mode, centers: Float, points: Float, held: Int, orientation
     """
     place = np.concatenate((centers, points))
     moved = np.concatenate((mode.view_displacement, mode.track_displacement))
+    if not len(held):
+        return mode
     middle = place[held].mean(axis=0)
     gauge = _gauge_movements(place - middle, orientation)
     amounts = np.linalg.lstsq(gauge[:, held].reshape(len(gauge), -1).T, moved[held].ravel(), rcond=1e-9)[0]

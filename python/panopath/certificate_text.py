@@ -97,11 +97,13 @@ def consistency_lines(certificate: Certificate) -> list[str]:
 def spectrum_lines(certificate: Certificate) -> list[str]:
     """Tell the nullity, the gap below and above it, and the noise that the verdict is for."""
     beyond = certificate.nullity - certificate.gauge_freedoms
-    more = "no further one" if beyond == 0 else f"{beyond:,} more"
-    told = [
-        f"free movements: {certificate.nullity:,}, of which the gauge has {certificate.gauge_freedoms} "
-        f"({_ORIENTATION[certificate.orientation]}): {more}"
-    ]
+    known = _ORIENTATION[certificate.orientation]
+    if beyond < 0:
+        told = [f"free movements: none to count, as the scene has no positions ({known})"]
+    else:
+        more = f"{beyond:,} more" if beyond else "no further one"
+        gauge = f"of which the gauge has {certificate.gauge_freedoms} ({known})"
+        told = [f"free movements: {certificate.nullity:,}, {gauge}: {more}"]
     first_other = certificate.gap.first_other
     above = f"smallest other {first_other:.2g}" if np.isfinite(first_other) else "no other"
     told.append(

@@ -535,9 +535,22 @@ def _scene_to_check(  # noqa: PLR0917 (what the command line says of it, all of 
     options = PositionOptions(threads=threads)
     with terminal.working("solving"):
         if model == "known":
-            return solve_positions(problem.tracks, problem.cam_from_world, options), model
+            return _solved_whole(problem, options), model
         up = _upward(problem) if model == "vertical" else None
         return _reconstruct(problem, options, up, unknown=problem.cam_from_world is None), model
+
+
+def _solved_whole(problem: Problem, options: PositionOptions) -> Scene:
+    """Solve with known orientations; as one where parts share no scale, so that what joins them can be certified.
+
+    Split, a view that two parts share has a place in one of them only, and parts that are not rigid have none. As one,
+    the scene is one of many that fit, which is what a certificate is about; it counts if it fits as well.
+    """
+    scene = solve_positions(problem.tracks, problem.cam_from_world, options)
+    if scene.summary.status not in (Status.DISCONNECTED, Status.UNDETERMINED):
+        return scene
+    whole = solve_positions(problem.tracks, problem.cam_from_world, replace(options, split_parts=False))
+    return whole if whole.summary.n_inliers >= scene.summary.n_inliers else scene
 
 
 def _dimension_fits(model: OrientationModel, d: int) -> OrientationModel:
