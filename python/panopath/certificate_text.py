@@ -24,6 +24,10 @@ _MOST_NAMES = 3
 _MOST_LINES = 8
 #: A member moves along a mode where it moves by more than this share of what the fastest one does.
 _MOVES = 0.05
+#: A part moves as a whole where more than this share of its members does.
+_MOST_OF_A_PART = 0.9
+#: A movement below this share of another one is none.
+_ROUNDING = 1e-6
 _SIGMA_SOURCE = {
     "given": "as given",
     "tracks": "as the tracks say",
@@ -144,7 +148,7 @@ def mode_lines(
     """Tell what moves along each mode; against the largest part, where positions are given."""
     called = names or Names()
     modes = [mode if positions is None else certificate.settled(mode, *positions) for mode in certificate.modes]
-    told = [_mode_line(number, mode, called) for number, mode in enumerate(modes, 1)]
+    told = [_mode_line(number, mode, certificate, called) for number, mode in enumerate(modes, 1)]
     return _shortened(told, "mode")
 
 
@@ -363,14 +367,37 @@ def _hinge_line(hinge: Hinge, names: Names) -> str:
     return f"hinge: parts {first + 1} and {second + 1} share {names.of_both(hinge.views, hinge.tracks)}"
 
 
-def _mode_line(number: int, mode: Mode, names: Names) -> str:
-    speeds = [np.linalg.norm(moved, axis=1) for moved in (mode.view_displacement, mode.track_displacement)]
-    speeds = [np.where(np.isfinite(speed), speed, 0.0) for speed in speeds]
-    fastest = max(speed.max(initial=0.0) for speed in speeds)
-    movers = [np.flatnonzero(speed > _MOVES * fastest) if fastest > 0.0 else np.empty(0, int) for speed in speeds]
+def _mode_line(number: int, mode: Mode, certificate: Certificate, names: Names) -> str:
     what = "null" if mode.is_null else f"{percent(mode.movement)} of the size"
-    who = names.of_both(movers[0], movers[1]) or "turns only"
-    return f"mode {number} ({what}, rays turn by {mode.value:.2g}): moves {who}"
+    return f"mode {number} ({what}, rays turn by {mode.value:.2g}): moves {_movers(mode, certificate, names)}"
+
+
+def _movers(mode: Mode, certificate: Certificate, names: Names) -> str:
+    """Name what moves along a mode: parts that move as a whole, then further views and points.
+
+    A point far away moves farther than all else; what counts as moving is measured by the views where these move.
+    """
+    views, points = (_speed(moved) for moved in (mode.view_displacement, mode.track_displacement))
+    fastest = views.max(initial=0.0)
+    if fastest <= _ROUNDING * points.max(initial=0.0):
+        fastest = points.max(initial=0.0)
+    if fastest <= 0.0:
+        return "nothing (views turn only)"
+    view_moves, point_moves = views > _MOVES * fastest, points > _MOVES * fastest
+    parts = []
+    for index, part in enumerate(certificate.components):
+        moving = np.concatenate((view_moves[part.views], point_moves[part.tracks]))
+        if len(moving) and moving.mean() > _MOST_OF_A_PART:
+            parts.append(str(index + 1))
+            view_moves[part.views], point_moves[part.tracks] = False, False
+    told = [_listed("part", range(len(parts)), parts)] if parts else []
+    rest = names.of_both(np.flatnonzero(view_moves), np.flatnonzero(point_moves))
+    return " and ".join([*told, rest] if rest else told)
+
+
+def _speed(moved: Float) -> Float:
+    speed = np.linalg.norm(moved, axis=1)
+    return np.where(np.isfinite(speed), speed, 0.0)
 
 
 def _listed(kind: str, members: npt.ArrayLike, names: Sequence[str] | None) -> str:
