@@ -1,4 +1,4 @@
-"""The gallery of ambiguities: ``python docs/figures_certificate.py`` draws docs/img/gallery again.
+"""The gallery of ambiguities: ``python -m docs.figures_certificate`` draws docs/img/gallery again.
 
 Each picture is of a scene with exact bearings. It is certified, and moves along the null mode that its certificate
 gives; nothing else is told to the drawing. ``sheet.png`` has all of them with both ends of the movement.

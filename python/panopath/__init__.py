@@ -2,6 +2,14 @@
 
 from panopath import _core
 from panopath.certificate import Cause, CauseKind, Certificate, Consistency, Verdict
+from panopath.counting import (
+    CameraModel,
+    RequiredVisibility,
+    StructureFromMotionInequality,
+    required_visibility,
+    required_visible_fraction,
+    structure_from_motion_inequality,
+)
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     Database,
@@ -70,6 +78,7 @@ from panopath.synthetic import SyntheticWorld, simulate
 __version__ = _core.__version__
 
 __all__ = [
+    "CameraModel",
     "Cause",
     "CauseKind",
     "Certificate",
@@ -100,11 +109,13 @@ __all__ = [
     "ReconstructOptions",
     "Reconstruction",
     "RefineOptions",
+    "RequiredVisibility",
     "Rig",
     "RotationPriors",
     "Scene",
     "SceneCovariance",
     "Status",
+    "StructureFromMotionInequality",
     "Summary",
     "SyntheticWorld",
     "Tracks",
@@ -112,9 +123,9 @@ __all__ = [
     "TwoViewOptions",
     "TwoViewStatus",
     "TwoViews",
+    "Verdict",
     "ViewGraphOptions",
     "ViewOrientations",
-    "Verdict",
     "ViewPairs",
     "__version__",
     "average_rotations",
@@ -138,9 +149,12 @@ __all__ = [
     "refine",
     "relative_pose",
     "relative_poses",
+    "required_visibility",
+    "required_visible_fraction",
     "scene_covariance",
     "simulate",
     "solve_positions",
+    "structure_from_motion_inequality",
     "tracks_from_matches",
     "view_pairs",
     "write_certificate",

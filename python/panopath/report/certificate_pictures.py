@@ -50,6 +50,10 @@ class _Drawn:
     middle: Float
     half: float
 
+    def inside(self, place: Float) -> npt.NDArray[np.bool_]:
+        """Tell which places the picture shows; NaN are none."""
+        return np.asarray((np.abs(place - self.middle) <= self.half).all(axis=1))
+
     def turned(self, vectors: Float) -> Float:
         return np.asarray(vectors @ self.axes.T)
 
@@ -86,14 +90,15 @@ def draw_certificate(scene: Scene, certificate: Certificate, folder: str | PathL
     figure_class = _matplotlib()
     drawn = _prepared(scene, certificate)
     planes = [("from above", 0, 1)] + ([("from the side", 0, 2)] if scene.d == 3 else [])
-    figure = figure_class(figsize=(6.6 * len(planes) + 0.4, 7.3), layout="constrained")
+    figure = figure_class(figsize=(6.6 * len(planes) + 0.4, 7.6), layout="constrained")
     panels = figure.subplots(1, len(planes), squeeze=False)[0]
     for panel, (title, right, up) in zip(panels, planes, strict=True):
         _draw_panel(panel, drawn, (right, up))
         _frame(panel, drawn, (right, up), unit)
         panel.set_title(title[:1].upper() + title[1:], fontsize=12)
     text = certificate.sentence(scene.view_labels(), scene.track_labels())
-    figure.suptitle("\n".join(textwrap.wrap(text, 82 * len(planes))), fontsize=11)
+    # the empty line keeps the sentence off the titles below it
+    figure.suptitle("\n".join([*textwrap.wrap(text, 82 * len(planes)), ""]), fontsize=11)
     _legend(figure, panels[0])
     path = Path(folder) / "certificate.png"
     figure.savefig(path, dpi=120, metadata={"Software": None})
@@ -211,9 +216,8 @@ def _draw_members(panel: Any, drawn: _Drawn, plane: tuple[int, int]) -> None:
     shown = _sample(len(drawn.points))
     size = _dot_size(len(shown))
     for part in range(-1, len(_PART_COLOURS)):
-        dots = drawn.points[shown[track_part[shown] == part]][:, plane]
-        squares = drawn.views[view_part == part][:, plane]
-        dots, squares = (rows[np.isfinite(rows).all(axis=1)] for rows in (dots, squares))
+        dots, squares = drawn.points[shown[track_part[shown] == part]], drawn.views[view_part == part]
+        dots, squares = (rows[drawn.inside(rows)][:, plane] for rows in (dots, squares))
         if not len(dots) and not len(squares):
             continue
         colour, label = (_LOOSE, "in no part") if part < 0 else (_PART_COLOURS[part], _part_label(certificate, part))
@@ -269,7 +273,7 @@ def _draw_slides(panel: Any, drawn: _Drawn, plane: tuple[int, int]) -> None:
     certificate = drawn.certificate
     place = np.vstack((drawn.views, drawn.points))
     line = drawn.turned(np.vstack((certificate.view_line, certificate.track_line)))
-    sliding = np.flatnonzero(np.isfinite(line).all(axis=1) & np.isfinite(place).all(axis=1))
+    sliding = np.flatnonzero(np.isfinite(line).all(axis=1) & drawn.inside(place))
     for member in _spread(sliding, _MOST_ARROWS):
         reach = 2.0 * _ARROW_SHARE * drawn.half * line[member][list(plane)]
         middle = place[member][list(plane)]
@@ -287,7 +291,7 @@ def _draw_null(panel: Any, drawn: _Drawn, plane: tuple[int, int]) -> None:
     for mode in nulls:
         moved = drawn.turned(_moved(certificate.settled(mode, drawn.scene.centers, drawn.scene.points)))
         speed = np.where(np.isfinite(moved).all(axis=1), np.linalg.norm(moved, axis=1), 0.0)
-        near = (np.abs(place - drawn.middle) <= drawn.half).all(axis=1)
+        near = drawn.inside(place)
         most = speed[~alone & near].max(initial=0.0)
         if most <= 1e-6 * max(speed.max(initial=0.0), 1e-300):
             continue

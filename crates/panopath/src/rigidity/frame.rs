@@ -8,6 +8,8 @@ use super::Sightings;
 
 /// Segments shorter than this share of the size have no direction.
 const NO_LENGTH: f64 = 1e-12;
+/// Rays that are parallel to this do not say how fast their point moves away.
+const INFINITE_RAD: f64 = 1e-6;
 
 /// A set of observations with their members: centroid of the views at zero, their rms distance from it one. The rays are the
 /// directions of the segments themselves, whatever was measured.
@@ -70,15 +72,31 @@ impl<const D: usize> Frame<D> {
         self.estimate.points[j].minus(&self.estimate.centers[self.part.node_of(o) as usize])
     }
 
-    /// Are all rays of a track parallel, or antiparallel: is its point free to slide along them?
-    pub fn is_parallel(&self, j: usize, tolerance: f64) -> bool {
+    /// Is a point free to slide along its rays? It is where all its views lie on one line with it.
+    pub fn slides(&self, j: usize, tolerance: f64) -> bool {
+        let observations = self.part.observations(j);
+        let first = observations.start;
+        observations.skip(1).all(|o| {
+            let baseline = self.center(o).minus(self.center(first));
+            let ray = &self.part.ray[first];
+            let across = baseline.plus_scaled(-baseline.dot::<D>(ray), ray);
+            across.dot::<D>(&across) <= tolerance * tolerance * baseline.dot::<D>(&baseline)
+        })
+    }
+
+    /// Is a point so far that its rays are parallel as far as numbers go?
+    pub fn is_infinite(&self, j: usize) -> bool {
         let observations = self.part.observations(j);
         let first = self.part.ray[observations.start];
         observations.skip(1).all(|o| {
             let ray = &self.part.ray[o];
             let across = ray.plus_scaled(-ray.dot::<D>(&first), &first);
-            across.dot::<D>(&across) < tolerance * tolerance
+            across.dot::<D>(&across) < INFINITE_RAD * INFINITE_RAD
         })
+    }
+
+    fn center(&self, o: usize) -> &Lanes {
+        &self.estimate.centers[self.part.node_of(o) as usize]
     }
 }
 

@@ -2,14 +2,19 @@
 
 use rayon::prelude::*;
 
+use super::LOOSE;
 use super::frame::Frame;
 use super::spectrum::{Analysis, Mobility};
 use crate::bundle::newton::NewtonWeights;
 use crate::bundle::part::Lanes;
 use crate::bundle::reduced::{PointSum, Weighing};
-use crate::geometry::Vector;
 use crate::least_squares::{LeastSquaresError, SelectedInverse};
 
+/// A point whose views spread over less than this share of its distance is far.
+const REALLY_FAR: f64 = 0.1;
+/// A far point must show that it is: by views that stand across its ray, this many times (squared) farther apart than noise
+/// would let them appear were they all on one line with a near one.
+const FAR_MULTIPLE: f64 = 450.0;
 /// Views that share tracks with a view and are compared with it, the nearest in the pattern.
 const NEIGHBOURS: usize = 48;
 
@@ -113,30 +118,69 @@ fn farthest_coordinate<const D: usize, const W: usize>(frame: &Frame<D>, held: &
 
 /// Standard deviation of each point, its views held, as a share of its distance, or of the square of its distance over the
 /// spread of its views where that is less: a point may be as far as it likes, if it is known to be far.
-pub(super) fn of_points<const D: usize>(frame: &Frame<D>) -> Vec<f64> {
-    let weights = NewtonWeights::new(&frame.part, &frame.estimate, &frame.keep, f64::INFINITY);
-    let of = |j: &usize| {
-        let mut sum = PointSum::<D>::new();
-        let observations = frame.part.observations(*j);
-        let n = observations.len() as f64;
-        let mut middle: Vector<D> = [0.0; D];
-        for o in observations.clone() {
-            sum.add(&weights.observe(o, *j));
-            let center = &frame.estimate.centers[frame.part.node_of(o) as usize];
-            (0..D).for_each(|c| middle[c] += center.0[c] / n);
-        }
-        let middle = Lanes::from_vector::<D>(&middle);
-        let factor = sum.factor(0.0, &Lanes::ZERO);
-        let variance: f64 =
-            (0..D).map(|c| factor.solve(&Lanes(std::array::from_fn(|r| f64::from(u8::from(r == c))))).0[c]).sum();
-        let reach = |x: &Lanes| {
-            let u = x.minus(&middle);
-            u.dot::<D>(&u).sqrt()
-        };
-        let far = reach(&frame.estimate.points[*j]);
-        let spread =
-            observations.map(|o| reach(&frame.estimate.centers[frame.part.node_of(o) as usize])).fold(0.0, f64::max);
-        variance.sqrt() * f64::min(1.0, spread / far) / far
-    };
+///
+/// A point that could slide along its rays but for the noise in them counts as [`LOOSE`] or more: sliding by `a` stretches
+/// the segments by `lambda` and, at positions that err by the noise, turns them by about `sigma lambda`.
+pub(super) fn of_points<const D: usize>(frame: &Frame<D>, noise_multiple: f64) -> Vec<f64> {
+    let of = |j: &usize| Slide::<D>::of(frame, *j).map_or(f64::INFINITY, |slide| slide.looseness(noise_multiple));
     (0..frame.part.n_tracks()).collect::<Vec<usize>>().par_iter().map(of).collect()
+}
+
+/// The displacement of a point that its rays resist least.
+struct Slide<const D: usize> {
+    /// Variance along it at one radian of noise.
+    variance: f64,
+    /// Squared stretch rates of the segments, added up.
+    stretched: f64,
+    /// Distance from the middle of its views, and their largest distance from there.
+    far: f64,
+    spread: f64,
+}
+
+impl<const D: usize> Slide<D> {
+    fn of(frame: &Frame<D>, j: usize) -> Option<Self> {
+        let weights = NewtonWeights::new(&frame.part, &frame.estimate, &frame.keep, f64::INFINITY);
+        let point = frame.estimate.points[j];
+        let mut sum = PointSum::<D>::new();
+        let observations = frame.part.observations(j);
+        let n = observations.len() as f64;
+        let mut middle = Lanes::ZERO;
+        for o in observations.clone() {
+            sum.add(&weights.observe(o, j));
+            middle = middle.plus_scaled(1.0 / n, &frame.estimate.centers[frame.part.node_of(o) as usize]);
+        }
+        let factor = sum.factor(0.0, &Lanes::ZERO);
+        // two steps of inverse iteration from the mean ray: what is free, is free along it or nearly
+        let reach = point.minus(&middle);
+        let mut along = reach.plus_scaled(1e-3, &Lanes::from_vector::<D>(&[1.0; D]));
+        let mut variance = f64::INFINITY;
+        for _ in 0..3 {
+            let length = along.dot::<D>(&along).sqrt();
+            along = along.times(1.0 / length);
+            let next = factor.solve(&along);
+            variance = next.dot::<D>(&along);
+            along = next;
+        }
+        let length = along.dot::<D>(&along).sqrt();
+        if !(length.is_finite() && length > 0.0) {
+            return None;
+        }
+        along = along.times(1.0 / length);
+        let norm = |u: &Lanes| u.dot::<D>(u).sqrt();
+        let (mut stretched, mut spread) = (0.0, 0.0f64);
+        for o in observations {
+            let u = frame.segment(o, j);
+            stretched += (u.dot::<D>(&along) / u.dot::<D>(&u)).powi(2);
+            spread = spread.max(norm(&frame.estimate.centers[frame.part.node_of(o) as usize].minus(&middle)));
+        }
+        Some(Self { variance, stretched, far: norm(&reach), spread })
+    }
+
+    fn looseness(&self, noise_multiple: f64) -> f64 {
+        let known_far = f64::min(1.0, self.spread / self.far);
+        let deviation = self.variance.sqrt() * known_far;
+        let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { noise_multiple };
+        let near_null = LOOSE * ((D - 1) as f64 * multiple * self.stretched).sqrt();
+        deviation * f64::max(1.0 / self.far, near_null)
+    }
 }

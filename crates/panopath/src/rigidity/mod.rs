@@ -145,6 +145,8 @@ const ROUNDING_RAD: f64 = 1e-7;
 const ROUNDING_MULTIPLE: f64 = 30.0;
 /// An exact ambiguity seen through noise has, in units of what noise gives it on average, at most this energy.
 const NOISE_MULTIPLE: f64 = 16.0;
+/// Modes, the weakest, that are tested for being such an ambiguity.
+const NOISE_MODES: usize = 3;
 /// A member whose standard deviation is beyond this share of its distance is held loosely.
 pub const LOOSE: f64 = 0.1;
 /// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
@@ -398,7 +400,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         let modes = analysis.modes(self.null_below)?;
         let n_null = modes.iter().take_while(|mode| mode.value < self.null_below).count();
         let slides: Vec<usize> =
-            (0..frame.part.n_tracks()).filter(|&j| frame.is_parallel(j, self.parallel_below())).collect();
+            (0..frame.part.n_tracks()).filter(|&j| frame.slides(j, self.parallel_below())).collect();
         self.nullity += gauge.len() + n_null + slides.len();
         self.note_gap(&modes[..n_null], modes.get(n_null));
         for &j in &slides {
@@ -414,7 +416,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             }
             return Ok(());
         }
-        let own = stretch::components::<D, W>(&frame, &modes[..n_null], self.parallel_below());
+        let own = stretch::components::<D, W>(&frame, &modes[..n_null], &slides);
         let found = self.add_components(&frame, &own);
         self.report_null_modes::<W>(&frame, &modes[..n_null], &own, &found, &slides);
         for component in found {
@@ -423,7 +425,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         Ok(())
     }
 
-    /// Rays nearer to parallel fix no distance.
+    /// Views nearer to one line with their point fix no distance.
     fn parallel_below(&self) -> f64 {
         PARALLEL.max(self.null_below)
     }
@@ -490,7 +492,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         let frame = analysis.frame;
         let sigma = self.noise.sigma_rad;
         let mut verdict = Verdict::Determined;
-        for mode in modes {
+        for (k, mode) in modes.iter().enumerate() {
             let movement = sigma / (mode.value * (frame.part.n_observations() as f64).sqrt());
             if mode.value < self.null_below {
                 verdict = Verdict::Undetermined;
@@ -498,7 +500,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             }
             let found = &mut self.components[component];
             found.weakest_movement = found.weakest_movement.max(movement);
-            let near_null = movement > 0.01 * self.weak_movement && is_noise::<D, W>(frame, mode, sigma);
+            let near_null = k < NOISE_MODES && is_noise::<D, W>(frame, mode, sigma);
             if movement > self.weak_movement || near_null {
                 verdict = verdict.max(Verdict::Weak);
                 self.report(frame, mode, movement, component, Motion::of::<W>(frame, &mode.step));
@@ -517,7 +519,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             loose_views += usize::from(looseness * sigma > LOOSE);
         }
         let mut loose_points = 0;
-        for (&track, looseness) in frame.part.input_track.iter().zip(looseness::of_points(frame)) {
+        for (&track, looseness) in frame.part.input_track.iter().zip(looseness::of_points(frame, NOISE_MULTIPLE)) {
             let slot = &mut self.track_looseness[track as usize];
             *slot = slot.min(looseness * sigma);
             loose_points += usize::from(looseness.is_nan() || looseness * sigma > LOOSE);

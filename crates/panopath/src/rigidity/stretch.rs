@@ -14,25 +14,40 @@ use crate::geometry::{Vector, add, dot, scale, sub};
 const COMBINATIONS: usize = 6;
 /// Rates differ where their difference moves an end of a segment by more than this share of the size.
 const SAME: f64 = 1e-6;
-/// Rays nearer to parallel fix no distance.
+/// Views nearer to one line with their point fix no distance.
 pub(super) const PARALLEL: f64 = 1e-8;
 
-/// Rigid components of the observations of a frame, in its order; -1 where an observation stands alone.
-/// Rays within `parallel` of each other fix no distance.
-pub(super) fn components<const D: usize, const W: usize>(frame: &Frame<D>, null: &[Mode], parallel: f64) -> Vec<i32> {
+/// Rigid components of the observations of a frame, in its order; -1 where an observation stands alone. Tracks in `slides`,
+/// ascending, belong to none.
+pub(super) fn components<const D: usize, const W: usize>(
+    frame: &Frame<D>,
+    null: &[Mode],
+    slides: &[usize],
+) -> Vec<i32> {
     let part = &frame.part;
-    let slides: Vec<bool> = (0..part.n_tracks()).map(|j| frame.is_parallel(j, parallel)).collect();
     let rates = rates::<D, W>(frame, &combinations(null));
     let mut sets = Sets::new(part.n_observations());
-    for j in (0..part.n_tracks()).filter(|&j| !slides[j]) {
-        join_equal(&rates, part.observations(j), &mut sets);
-    }
     let mut of_view: Vec<Vec<usize>> = vec![Vec::new(); part.n_views];
-    for j in (0..part.n_tracks()).filter(|&j| !slides[j]) {
+    let mut infinite = Vec::new();
+    for j in (0..part.n_tracks()).filter(|j| slides.binary_search(j).is_err()) {
+        if frame.is_infinite(j) {
+            infinite.push(j);
+            continue;
+        }
+        join_equal(&rates, part.observations(j), &mut sets);
         part.observations(j).for_each(|o| of_view[part.view[o] as usize].push(o));
     }
-    for observations in of_view {
-        join_equal(&rates, observations.into_iter(), &mut sets);
+    for observations in &of_view {
+        join_equal(&rates, observations.iter().copied(), &mut sets);
+    }
+    // a point at infinity goes with its views, where these all go together
+    for j in infinite {
+        let homes = part.observations(j).map(|o| of_view[part.view[o] as usize].first().copied());
+        let mut roots: Vec<Option<usize>> = homes.map(|home| home.map(|o| sets.root(o))).collect();
+        roots.dedup();
+        if let [Some(home)] = roots[..] {
+            part.observations(j).for_each(|o| sets.join(home, o));
+        }
     }
     sets.labels()
 }

@@ -1,0 +1,1 @@
+"""Programs that compute the tables and draw the pictures of these pages."""
