@@ -201,7 +201,7 @@ def test_explain_tells_all_and_stays_short() -> None:
 def test_explain_names_only_what_moves_against_the_largest_part() -> None:
     scene = on_a_line()
     certificate = certificate_of(scene, [line_cause()])
-    assert any(line.endswith("moves views 0 to 3 and points 0 to 3") for line in certificate.explain())
+    assert any(line.endswith("moves part 1 and point 0") for line in certificate.explain())
     lines, paths = explain(certificate, scene)
     assert any(line.endswith("moves point 0") for line in lines)
     assert paths == []

@@ -26,8 +26,6 @@ _MOST_LINES = 8
 _MOVES = 0.05
 #: A part moves as a whole where more than this share of its members does.
 _MOST_OF_A_PART = 0.9
-#: A movement below this share of another one is none.
-_ROUNDING = 1e-6
 _SIGMA_SOURCE = {
     "given": "as given",
     "tracks": "as the tracks say",
@@ -148,7 +146,7 @@ def mode_lines(
     """Tell what moves along each mode; against the largest part, where positions are given."""
     called = names or Names()
     modes = [mode if positions is None else certificate.settled(mode, *positions) for mode in certificate.modes]
-    told = [_mode_line(number, mode, certificate, called) for number, mode in enumerate(modes, 1)]
+    told = [_mode_line(number, mode, certificate, called, positions) for number, mode in enumerate(modes, 1)]
     return _shortened(told, "mode")
 
 
@@ -367,20 +365,23 @@ def _hinge_line(hinge: Hinge, names: Names) -> str:
     return f"hinge: parts {first + 1} and {second + 1} share {names.of_both(hinge.views, hinge.tracks)}"
 
 
-def _mode_line(number: int, mode: Mode, certificate: Certificate, names: Names) -> str:
+def _mode_line(
+    number: int, mode: Mode, certificate: Certificate, names: Names, positions: tuple[Float, Float] | None
+) -> str:
     what = "null" if mode.is_null else f"{percent(mode.movement)} of the size"
-    return f"mode {number} ({what}, rays turn by {mode.value:.2g}): moves {_movers(mode, certificate, names)}"
+    who = _movers(mode, certificate, names, positions)
+    return f"mode {number} ({what}, rays turn by {mode.value:.2g}): moves {who}"
 
 
-def _movers(mode: Mode, certificate: Certificate, names: Names) -> str:
+def _movers(mode: Mode, certificate: Certificate, names: Names, positions: tuple[Float, Float] | None) -> str:
     """Name what moves along a mode: parts that move as a whole, then further views and points.
 
-    A point far away moves farther than all else; what counts as moving is measured by the views where these move.
+    A point far away moves farther than all else: where positions are known, movement counts as a share of distance.
     """
-    views, points = (_speed(moved) for moved in (mode.view_displacement, mode.track_displacement))
-    fastest = views.max(initial=0.0)
-    if fastest <= _ROUNDING * points.max(initial=0.0):
-        fastest = points.max(initial=0.0)
+    views, points = _speed(mode.view_displacement), _speed(mode.track_displacement)
+    if positions is not None:
+        views, points = views / _distance(positions[0], positions), points / _distance(positions[1], positions)
+    fastest = max(views.max(initial=0.0), points.max(initial=0.0))
     if fastest <= 0.0:
         return "nothing (views turn only)"
     view_moves, point_moves = views > _MOVES * fastest, points > _MOVES * fastest
@@ -398,6 +399,17 @@ def _movers(mode: Mode, certificate: Certificate, names: Names) -> str:
 def _speed(moved: Float) -> Float:
     speed = np.linalg.norm(moved, axis=1)
     return np.where(np.isfinite(speed), speed, 0.0)
+
+
+def _distance(place: Float, positions: tuple[Float, Float]) -> Float:
+    """(n,) distance from the middle of the views, but no less than their size."""
+    known = positions[0][np.isfinite(positions[0]).all(axis=1)]
+    if not len(known):
+        return np.ones(len(place))
+    middle = known.mean(axis=0)
+    size = float(np.sqrt(((known - middle) ** 2).sum(axis=1).mean()))
+    distance = np.nan_to_num(np.linalg.norm(place - middle, axis=1), nan=size)
+    return np.asarray(np.maximum(distance, size or 1.0))
 
 
 def _listed(kind: str, members: npt.ArrayLike, names: Sequence[str] | None) -> str:

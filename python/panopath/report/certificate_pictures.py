@@ -23,7 +23,7 @@ _LOOSE = "#d9480f"
 _WEAK = "#e0218a"
 _SHAPE = "#444444"
 #: Arrows and ellipses drawn; more hide the scene.
-_MOST_ARROWS = 60
+_MOST_ARROWS = 50
 _MOST_ELLIPSES = 200
 #: Rays are drawn where there are no more than this.
 _MOST_RAYS = 400
@@ -34,8 +34,12 @@ _MOST_SHAPES = 6
 #: Length of an arrow, and of the largest ellipse, as a share of the picture.
 _ARROW_SHARE = 0.09
 _ELLIPSE_SHARE = 0.10
+#: Of the longest arrow, the share below which one would be all head.
+_SHORTEST_ARROW = 0.12
 #: Steps by which a movement is made larger so that it can be seen.
 _STEPS = (1, 2, 5)
+#: A movement below this share of another one is none.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -293,11 +297,13 @@ def _draw_null(panel: Any, drawn: _Drawn, plane: tuple[int, int]) -> None:
         speed = np.where(np.isfinite(moved).all(axis=1), np.linalg.norm(moved, axis=1), 0.0)
         near = drawn.inside(place)
         most = speed[~alone & near].max(initial=0.0)
-        if most <= 1e-6 * max(speed.max(initial=0.0), 1e-300):
+        if most <= _ROUNDING * max(speed.max(initial=0.0), 1e-300):
             continue
-        movers = np.flatnonzero((speed > 0.03 * most) & ~alone & near)
+        movers = np.flatnonzero((speed > _SHORTEST_ARROW * most) & ~alone & near)
+        n_views = int(np.searchsorted(movers, len(drawn.views)))
+        movers = np.array([*_spread(movers[:n_views], _MOST_ARROWS), *_spread(movers[n_views:], _MOST_ARROWS)])
         scale = 2.0 * 1.6 * _ARROW_SHARE * drawn.half / most
-        for member in _spread(movers, _MOST_ARROWS):
+        for member in movers:
             start = place[member][list(plane)]
             _arrow(panel, start, start + scale * moved[member][list(plane)], "-|>", "#111111")
         others = f", 1 of {len(nulls):,}" if len(nulls) > 1 else ""
@@ -339,14 +345,9 @@ def _round_factor(factor: float) -> float:
 
 def _arrow(panel: Any, start: Float, end: Float, style: str, colour: str) -> None:
     if np.linalg.norm(end - start) > 0.0:
-        panel.annotate(
-            "",
-            xy=end,
-            xytext=start,
-            zorder=7,
-            annotation_clip=False,
-            arrowprops={"arrowstyle": style, "color": colour, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0},
-        )
+        arrow = {"arrowstyle": style, "color": colour, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}
+        drawn = panel.annotate("", xy=end, xytext=start, zorder=7, annotation_clip=False, arrowprops=arrow)
+        drawn.arrow_patch.set(mutation_scale=11, clip_box=panel.bbox)
 
 
 def _spread(members: Index, most: int) -> list[int]:
