@@ -185,15 +185,17 @@ def _what_holds(certificate: Certificate) -> str:
 
 
 def _what_noise_does(certificate: Certificate) -> str:
-    """Tell by how much noise moves the largest part, or the weak one behind a weak verdict."""
-    part = certificate.components[0]
-    whose = "views"
-    if certificate.verdict == "weak" and part.verdict != "weak":
-        number = next((n for n, other in enumerate(certificate.components) if other.verdict == "weak"), 0)
-        part, whose = certificate.components[number], f"the views of part {number + 1}" if number else "views"
-    if not np.isfinite(part.weakest_movement):
-        return f"noise of {_degrees(certificate.sigma_rad)} hides its shape"
-    return f"noise of {_degrees(certificate.sigma_rad)} moves {whose} by {percent(part.weakest_movement)} of the size"
+    """Tell what noise makes of the largest part, or of the weak one behind a weak verdict."""
+    number = 0
+    if certificate.verdict == "weak":
+        number = next((n for n, part in enumerate(certificate.components) if part.verdict == "weak"), 0)
+    part, noise = certificate.components[number], f"noise of {_degrees(certificate.sigma_rad)}"
+    if part.verdict == "weak" and part.weakest_movement <= certificate.weak_movement:
+        if any(mode.component == number and not mode.is_null for mode in certificate.modes):
+            return f"{noise} hides whether {f'part {number + 1}' if number else 'it'} is unique"
+        return f"at {noise} some of them are loosely held by what is around them"
+    whose = f"the views of part {number + 1}" if number else "views"
+    return f"{noise} moves {whose} by {percent(part.weakest_movement)} of the size"
 
 
 def _what_is_left(certificate: Certificate) -> list[str]:
