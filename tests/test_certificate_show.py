@@ -364,9 +364,30 @@ def test_members_stay_on_their_conic_which_moves() -> None:
     u = np.array((-1.2, -0.3, 0.9))
     arms = np.vstack([np.column_stack((side * np.cosh(u), np.sinh(u))) for side in (1.0, -1.0)])
     middle = np.array((5.0, 2.0))
+    assert len(conic_curves(arms + middle, 3.0)) == 4
     for curve in conic_curves(arms + middle, 3.0):
         x, y = (curve - middle).T
         np.testing.assert_allclose(x * x - y * y, 1.0, atol=1e-9)
+
+
+def test_two_lines_open_into_a_hyperbola_and_no_sample_jumps() -> None:
+    """On both sides of the degenerate conic, members stay on the curve; from frame to frame it moves a little only."""
+    views = [(-3.0, -0.9), (-1.4, -0.42), (1.1, 0.33), (2.8, 0.84)]
+    scene = scene_of_positions(views, [(-0.9, 1.8), (-0.5, 1.0), (0.4, -0.8), (0.85, -1.7)])
+    certificate = certificate_of(scene, [cause(CauseKind.TWO_LINES_1, range(4), range(4))])
+    frames = mode_frames(scene, certificate)
+    steps = [guide_curves(certificate, *places, 8.0) for places in zip(frames.views, frames.points, strict=True)]
+    for curves, views_now, points_now in zip(steps, frames.views, frames.points, strict=True):
+        assert [len(curve) for curve in curves] == [len(curve) for curve in steps[0]]
+        fine = np.vstack([np.linspace(curve[:-1], curve[1:], 40).reshape(-1, 2) for curve in curves])
+        gap = np.linalg.norm(np.vstack((views_now, points_now))[:, None] - fine[None], axis=2).min(axis=1)
+        assert gap.max() < 0.06
+    for before, after in zip(steps, [*steps[1:], steps[0]], strict=True):
+        assert max(np.abs(b - a)[:10].max() for b, a in zip(before, after, strict=True)) < 0.5
+    parallel = np.array([(0.0, 0.0), (1.0, 0.0), (3.0, 0.0), (0.5, 2.0), (2.0, 2.0), (4.0, 2.0)])
+    lines = conic_curves(parallel, 3.0)
+    assert sorted(float(np.ptp(line[:, 1])) for line in lines) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert conic_curves(parallel[:3], 3.0) == []
 
 
 def test_svg_is_well_formed_and_moves_only_what_moves(tmp_path: Path) -> None:

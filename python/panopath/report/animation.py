@@ -28,6 +28,12 @@ _PERIOD_S = 6.0
 _SHORTEST_RAY = 0.36
 _LARGEST_MOVE = 0.26
 _MARGIN = 0.09
+#: Samples of a guide line, of one arm or half an ellipse.
+_SAMPLES = 20
+#: Below this share of the largest, a singular value or eigenvalue is zero.
+_SINGULAR = 1e-9
+#: A member this near to a line, as a share of the distance of the two that define it, lies on it.
+_ON_LINE = 1e-3
 #: What stands still; what moves, by the part that it belongs to, the first for members of none; rays that stand still.
 STILL_COLOUR = "#1f3a5f"
 MOVING_COLOURS = ("#d9480f", "#d9480f", "#0b7a75", "#7a3f98", "#b8860b")
@@ -355,12 +361,7 @@ def guide_curves(certificate: Certificate, views: Float, points: Float, reach: f
         through_views, through_points = views[cause.views], points[cause.tracks]
         if cause.kind in (CauseKind.CAMERA_COLLINEAR, CauseKind.POINT_COLLINEAR) and _one_line(cause):
             found.append(_line_through(np.vstack((through_views, through_points)), reach))
-        elif cause.kind is CauseKind.TWO_LINES_1:
-            found += [_line_through(through_views, reach), _line_through(through_points, reach)]
-        elif cause.kind is CauseKind.TWO_LINES_2:
-            members = np.vstack((through_views, through_points))
-            found += [_line_through(members[rows], reach) for rows in _two_lines(members)]
-        elif cause.kind is CauseKind.CONIC:
+        elif cause.kind in (CauseKind.CONIC, CauseKind.TWO_LINES_1, CauseKind.TWO_LINES_2):
             found += conic_curves(np.vstack((through_views, through_points)), reach)
     return found
 
@@ -376,25 +377,10 @@ def _line_through(members: Float, reach: float) -> Float:
     return np.asarray(middle + 2.0 * reach * np.outer((-1.0, 1.0), along * _sign(along)))
 
 
-def _two_lines(members: Float) -> list[Index]:
-    """Split members that lie on two lines: of any three members two share a line."""
-    best, error = [np.arange(len(members))], np.inf
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        along = members[b] - members[a]
-        off = np.abs((members - members[a]) @ np.array((-along[1], along[0]))) / (along @ along)
-        rest = np.flatnonzero(off > 1e-3)
-        if len(rest) < 2:
-            continue
-        loss = float(np.linalg.svd(members[rest] - members[rest].mean(axis=0))[1][-1])
-        if loss < error:
-            best, error = [np.flatnonzero(off <= 1e-3), rest], loss
-    return best
+def conic_curves(members: Float, reach: float) -> list[Float]:
+    """Sample the conic through five points or more; two lines are one, and may open into a hyperbola as members move.
 
-
-def conic_curves(members: Float, reach: float, n_samples: int = 40) -> list[Float]:
-    """Sample the conic through five points or more: an ellipse once round, a hyperbola's branches, or a parabola.
-
-    The same members moved a little give curves of the same number of samples, as an animation needs.
+    The same members moved a little give the same number of samples, each moved a little, as an animation needs.
 
     Parameters
     ----------
@@ -402,33 +388,68 @@ def conic_curves(members: Float, reach: float, n_samples: int = 40) -> list[Floa
         (k, 2) points on the conic.
     reach
         Half the length to sample where it goes to infinity.
-    n_samples
-        Samples of a curve.
 
     Returns
     -------
     list of array
-        (n_samples, 2) each.
+        (n, 2) each: an ellipse once round; the four arms of a hyperbola, each from its vertex; two parallel lines.
+        Empty where the members lie on more than one conic.
     """
     middle, size = members.mean(axis=0), float(np.abs(members - members.mean(axis=0)).max())
     x, y = ((members - middle) / size).T
-    a, b, c, d, e, f = np.linalg.svd(np.column_stack((x * x, x * y, y * y, x, y, np.ones_like(x))))[2][-1]
-    form = np.array(((a, 0.5 * b), (0.5 * b, c)))
+    _, spread, rows = np.linalg.svd(np.column_stack((x * x, x * y, y * y, x, y, np.ones_like(x))))
+    if len(members) < 5 or spread[4] < _SINGULAR * spread[0]:
+        return []
+    a, b, c, d, e, f = rows[-1]
+    form, slope = np.array(((a, 0.5 * b), (0.5 * b, c))), np.array((d, e))
     values, axes = np.linalg.eigh(form)
-    center = np.linalg.solve(form, -0.5 * np.array((d, e)))
-    level = -(f + 0.5 * center @ np.array((d, e)))
-    first, second = values / level
-    if first > 0.0 and second > 0.0:
-        # start at the direction of the first member, so that the samples do not jump when the axes change places
-        around = np.linspace(0.0, 2.0 * np.pi, n_samples)
-        unit = axes @ np.diag(1.0 / np.sqrt((first, second))) @ axes.T @ np.array((np.cos(around), np.sin(around)))
-        return [middle + size * (center + unit.T)]
-    along, across = (axes[:, 0], axes[:, 1]) if first > 0.0 else (axes[:, 1], axes[:, 0])
-    along, across = along * _sign(along), across * _sign(across)
-    near, far = 1.0 / np.sqrt(max(first, second)), 1.0 / np.sqrt(-min(first, second))
-    rise = np.linspace(-1.0, 1.0, n_samples) * np.arcsinh(reach / size / far)
-    arm = far * np.sinh(rise)[:, None] * across
-    return [middle + size * (center + side * near * np.cosh(rise)[:, None] * along + arm) for side in (1.0, -1.0)]
+    if np.abs(values).min() < _SINGULAR * np.abs(values).max():
+        return [_line_through(members[rows], reach) for rows in _two_lines(members)]
+    center = np.linalg.solve(form, -0.5 * slope)
+    level = -(f + 0.5 * center @ slope)
+    curves = _ellipse(values / level, axes) if values.prod() > 0.0 else _hyperbola(values, axes, level, reach / size)
+    return [middle + size * (center + curve) for curve in curves]
+
+
+def _ellipse(inverse_squares: Float, axes: Float) -> list[Float]:
+    """Sample by a symmetric root, so that samples do not jump where the axes change places."""
+    around = np.linspace(0.0, 2.0 * np.pi, 2 * _SAMPLES)
+    root = axes @ np.diag(1.0 / np.sqrt(inverse_squares)) @ axes.T
+    return [np.column_stack((np.cos(around), np.sin(around))) @ root]
+
+
+def _hyperbola(values: Float, axes: Float, level: float, reach: float) -> list[Float]:
+    """Sample ``v1 p^2 + v2 q^2 = level`` by arms, one towards each end of an asymptote.
+
+    Where the level passes zero the hyperbola becomes two lines and then opens the other way: each arm's vertex moves
+    through the centre, and no arm jumps.
+    """
+    if abs(axes[0, 0]) < abs(axes[0, 1]):
+        values, axes = values[::-1], axes[:, ::-1]
+    first, second = (axis * _sign(axis) for axis in axes.T)
+    # samples are dense near the vertex, where the curve bends
+    along = reach * np.linspace(0.0, 1.0, _SAMPLES) ** 2
+    opens_first = level * values[0] >= 0.0
+    inside, outside = (values[0], values[1]) if opens_first else (values[1], values[0])
+    across = np.sqrt(level / inside - outside / inside * along**2)
+    p, q = (across, along) if opens_first else (along, across)
+    return [np.outer(s * p, first) + np.outer(t * q, second) for s in (1.0, -1.0) for t in (1.0, -1.0)]
+
+
+def _two_lines(members: Float) -> list[Index]:
+    """Split members that lie on two lines, the first of them off which fewer lie: of three members two share a line."""
+    best: tuple[float, list[Index]] = (np.inf, [])
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        along = members[b] - members[a]
+        off = np.abs((members - members[a]) @ np.array((-along[1], along[0]))) / (along @ along)
+        near, rest = np.flatnonzero(off <= _ON_LINE), np.flatnonzero(off > _ON_LINE)
+        if len(rest) > 1:
+            best = min(
+                best,
+                (float(np.linalg.svd(members[rest] - members[rest].mean(axis=0))[1][-1]), [near, rest]),
+                key=lambda pair: pair[0],
+            )
+    return best[1]
 
 
 def _sign(vector: Float) -> float:
