@@ -5,8 +5,10 @@ use rayon::prelude::*;
 use super::LOOSE;
 use super::frame::Frame;
 use super::spectrum::{Analysis, Mobility};
+use crate::bundle::estimate::Estimate;
 use crate::bundle::newton::NewtonWeights;
-use crate::bundle::part::Lanes;
+use crate::bundle::noise::median;
+use crate::bundle::part::{Lanes, Layout};
 use crate::bundle::reduced::{PointSum, Weighing};
 use crate::least_squares::{LeastSquaresError, SelectedInverse};
 
@@ -18,8 +20,9 @@ const FAR_MULTIPLE: f64 = 450.0;
 /// Views that share tracks with a view and are compared with it, the nearest in the pattern.
 const NEIGHBOURS: usize = 48;
 
-/// Standard deviation of each view's centre against the view that holds it best, as a share of its distance from the
-/// views that it shares tracks with (the median); infinite where the frame is not determined.
+/// Standard deviation of each view's centre against the member that holds it best, as a share of its distance from all of
+/// these (the median); infinite where the frame is not determined. The members are the views that it shares tracks with, or
+/// the points that it sees, where points are fewer and stay in the system.
 pub(super) fn of_views<const D: usize, const W: usize, M: Mobility<D, W>>(
     analysis: &Analysis<'_, D, W, M>,
     scale_is_free: bool,
@@ -41,63 +44,88 @@ pub(super) fn of_views<const D: usize, const W: usize, M: Mobility<D, W>>(
         Err(LeastSquaresError::Singular { .. }) => return Ok(nothing),
         other => other?,
     };
-    let neighbours = neighbours(frame);
-    let looseness = |a: &usize| {
-        let compared = &neighbours[*a];
-        let mut apart: Vec<f64> = compared.iter().map(|&b| distance(frame, *a, b as usize)).collect();
-        let typical = crate::bundle::noise::median(&mut apart).max(f64::MIN_POSITIVE);
-        let variance = |b: u32| relative_variance::<D, W>(&inverse, &held, *a, b as usize);
-        let least = compared.iter().map(|&b| variance(b)).fold(f64::INFINITY, f64::min);
-        least.sqrt() / typical
+    let members = Members { frame, inverse: &inverse, held: &held, keeps_points: pattern.n_nodes() > n };
+    let neighbours = members.neighbours();
+    let looseness = |&a: &usize| {
+        let compared = &neighbours[a];
+        let mut apart: Vec<f64> = compared.iter().map(|&b| members.distance(a, b as usize)).collect();
+        let typical = median(&mut apart).max(f64::MIN_POSITIVE);
+        let variances = compared.iter().map(|&b| members.relative_variance(a, b as usize));
+        // rounding takes what is held very firmly below zero
+        variances.fold(f64::INFINITY, f64::min).max(0.0).sqrt() / typical
     };
     Ok((0..n).collect::<Vec<usize>>().par_iter().map(looseness).collect())
 }
 
-fn distance<const D: usize>(frame: &Frame<D>, a: usize, b: usize) -> f64 {
-    let u = frame.estimate.centers[a].minus(&frame.estimate.centers[b]);
-    u.dot::<D>(&u).sqrt()
+/// Nodes of the system: views, and points where these are kept.
+struct Members<'a, const D: usize, const W: usize> {
+    frame: &'a Frame<D>,
+    inverse: &'a SelectedInverse<W>,
+    held: &'a [bool],
+    keeps_points: bool,
 }
 
-/// Views that share most tracks with each view.
-fn neighbours<const D: usize>(frame: &Frame<D>) -> Vec<Vec<u32>> {
-    /// Longest track whose views are all counted as pairs.
-    const LONG: usize = 64;
-    let part = &frame.part;
-    let n = frame.views.len();
-    let mut of_view: Vec<Vec<u32>> = vec![Vec::new(); n];
-    for j in 0..part.n_tracks() {
-        part.observations(j).for_each(|o| of_view[part.node_of(o) as usize].push(j as u32));
+impl<const D: usize, const W: usize> Members<'_, D, W> {
+    fn position(&self, node: usize) -> &Lanes {
+        let Estimate { centers, points } = &self.frame.estimate;
+        if node < centers.len() { &centers[node] } else { &points[node - centers.len()] }
     }
-    let shared = |a: &usize| {
-        let mut count = std::collections::BTreeMap::new();
-        for &j in &of_view[*a] {
-            for o in part.observations(j as usize).take(LONG) {
-                *count.entry(part.node_of(o)).or_insert(0u32) += 1;
-            }
+
+    fn distance(&self, a: usize, b: usize) -> f64 {
+        let u = self.position(a).minus(self.position(b));
+        u.dot::<D>(&u).sqrt()
+    }
+
+    /// What each view is compared with.
+    fn neighbours(&self) -> Vec<Vec<u32>> {
+        let part = &self.frame.part;
+        let n = self.frame.views.len();
+        let mut of_view: Vec<Vec<u32>> = vec![Vec::new(); n];
+        for j in 0..part.n_tracks() {
+            part.observations(j).for_each(|o| of_view[part.node_of(o) as usize].push(j as u32));
         }
-        count.remove(&(*a as u32));
-        let mut ranked: Vec<(u32, u32)> = count.into_iter().map(|(view, n)| (n, view)).collect();
-        ranked.sort_unstable_by_key(|&(n, view)| (u32::MAX - n, view));
-        ranked.into_iter().take(NEIGHBOURS).map(|(_, view)| view).collect()
-    };
-    (0..n).collect::<Vec<usize>>().par_iter().map(shared).collect()
+        if self.keeps_points {
+            return of_view.into_iter().map(|seen| seen.into_iter().map(|j| n as u32 + j).collect()).collect();
+        }
+        let nearest = |&a: &usize| most_shared(part, &of_view[a], a as u32);
+        (0..n).collect::<Vec<usize>>().par_iter().map(nearest).collect()
+    }
+
+    /// Unknown of a node that moves it along an axis, if it is free.
+    fn unknown(&self, node: usize, axis: usize) -> (usize, bool) {
+        let is_view = node < self.frame.views.len();
+        let k = if is_view { W - D + axis } else { axis };
+        (k, is_view && self.held[node * W + k])
+    }
+
+    /// Trace of the covariance of the positions of two members against each other; infinite where the factor does not hold it.
+    fn relative_variance(&self, a: usize, b: usize) -> f64 {
+        let entry = |x: usize, y: usize, axis: usize| {
+            let ((row, row_held), (column, column_held)) = (self.unknown(x, axis), self.unknown(y, axis));
+            if row_held || column_held {
+                return Some(0.0);
+            }
+            self.inverse.block(x, y).map(|block| block[row][column])
+        };
+        let along = |axis| Some(entry(a, a, axis)? + entry(b, b, axis)? - 2.0 * entry(a, b, axis)?);
+        (0..D).map(|axis| along(axis).unwrap_or(f64::INFINITY)).sum()
+    }
 }
 
-/// Trace of the covariance of `c_a - c_b`.
-fn relative_variance<const D: usize, const W: usize>(
-    inverse: &SelectedInverse<W>,
-    held: &[bool],
-    a: usize,
-    b: usize,
-) -> f64 {
-    let entry = |x: usize, y: usize, k: usize| {
-        if held[x * W + k] || held[y * W + k] {
-            return Some(0.0);
+/// Views that share most of these tracks with a view.
+fn most_shared(layout: &Layout, tracks: &[u32], view: u32) -> Vec<u32> {
+    /// Views of a long track that are counted.
+    const LONG: usize = 64;
+    let mut count = std::collections::BTreeMap::new();
+    for &j in tracks {
+        for o in layout.observations(j as usize).take(LONG) {
+            *count.entry(layout.node_of(o)).or_insert(0u32) += 1;
         }
-        inverse.block(x, y).map(|block| block[k][k])
-    };
-    let along = |k: usize| Some(entry(a, a, k)? + entry(b, b, k)? - 2.0 * entry(a, b, k)?);
-    (W - D..W).map(|k| along(k).unwrap_or(f64::INFINITY)).sum()
+    }
+    count.remove(&view);
+    let mut ranked: Vec<(u32, u32)> = count.into_iter().map(|(view, n)| (n, view)).collect();
+    ranked.sort_unstable_by_key(|&(n, view)| (u32::MAX - n, view));
+    ranked.into_iter().take(NEIGHBOURS).map(|(_, view)| view).collect()
 }
 
 /// The coordinate farthest from the view that is pinned: holding it fixes the size.
@@ -132,8 +160,9 @@ struct Slide<const D: usize> {
     variance: f64,
     /// Squared stretch rates of the segments, added up.
     stretched: f64,
-    /// Distance from the middle of its views, and their largest distance from there.
+    /// Rms distance from its views.
     far: f64,
+    /// Largest distance of these from their middle.
     spread: f64,
 }
 
@@ -167,13 +196,14 @@ impl<const D: usize> Slide<D> {
         }
         along = along.times(1.0 / length);
         let norm = |u: &Lanes| u.dot::<D>(u).sqrt();
-        let (mut stretched, mut spread) = (0.0, 0.0f64);
+        let (mut stretched, mut spread, mut squared) = (0.0, 0.0f64, 0.0);
         for o in observations {
             let u = frame.segment(o, j);
             stretched += (u.dot::<D>(&along) / u.dot::<D>(&u)).powi(2);
+            squared += u.dot::<D>(&u) / n;
             spread = spread.max(norm(&frame.estimate.centers[frame.part.node_of(o) as usize].minus(&middle)));
         }
-        Some(Self { variance, stretched, far: norm(&reach), spread })
+        Some(Self { variance, stretched, far: squared.sqrt(), spread })
     }
 
     fn looseness(&self, noise_multiple: f64) -> f64 {

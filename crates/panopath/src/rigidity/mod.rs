@@ -408,10 +408,8 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             self.track_line[track] = frame.part.ray[frame.part.start[j] as usize].vector();
             self.track_looseness[track] = f64::INFINITY;
         }
-        if n_null == 0 {
-            let own: Vec<i32> = rays_of_others(&frame, &slides);
-            let found = self.add_components(&frame, &own);
-            if let [component] = found[..] {
+        if n_null == 0 && slides.is_empty() {
+            if let [component] = self.add_components(&frame, &vec![0; frame.part.n_observations()])[..] {
                 self.judge_component(component, &analysis, &modes)?;
             }
             return Ok(());
@@ -656,15 +654,6 @@ fn is_noise<const D: usize, const W: usize>(frame: &Frame<D>, mode: &Mode, sigma
     }
     let energy = mode.value * mode.value * part.n_observations() as f64;
     energy < NOISE_MULTIPLE * (D - 1) as f64 * sigma * sigma * spread
-}
-
-/// All observations in one component, but for those of tracks that slide.
-fn rays_of_others<const D: usize>(frame: &Frame<D>, slides: &[usize]) -> Vec<i32> {
-    let mut own = vec![0; frame.part.n_observations()];
-    for &j in slides {
-        own[frame.part.observations(j)].fill(-1);
-    }
-    own
 }
 
 /// Nodes and tracks of the frame in a component.

@@ -1,8 +1,10 @@
 //! Rigid components, from how fast each segment stretches.
 //!
-//! A null vector changes every observed segment along itself alone: `dX_j - q_ij = lambda_ij u_ij`. Two observations belong
-//! to one rigid component if and only if their stretch rates are equal in every null vector (and the turns of their views, where
-//! these turn) and they are connected through members with the same rates.
+//! A null vector changes every observed segment along itself alone: `dX_j - q_ij = lambda_ij u_ij`. So it moves each observation
+//! by a similarity of its own: the stretch `lambda`, the turn `theta` of its view, and the shift
+//! `tau = dc - lambda c - theta x c`. Two observations belong to one rigid component if and only if these are equal in every
+//! null vector. Most are joined through shared members, where stretch and turn decide; what is left are bodies that move as
+//! one although no member is shared: two bodies held by points on the line between a view of each, say.
 
 use super::frame::Frame;
 use super::spectrum::{Mode, scattered};
@@ -18,7 +20,7 @@ const SAME: f64 = 1e-6;
 pub(super) const PARALLEL: f64 = 1e-8;
 
 /// Rigid components of the observations of a frame, in its order; -1 where an observation stands alone. Tracks in `slides`,
-/// ascending, belong to none.
+/// ascending, hold nothing.
 pub(super) fn components<const D: usize, const W: usize>(
     frame: &Frame<D>,
     null: &[Mode],
@@ -29,7 +31,10 @@ pub(super) fn components<const D: usize, const W: usize>(
     let mut sets = Sets::new(part.n_observations());
     let mut of_view: Vec<Vec<usize>> = vec![Vec::new(); part.n_views];
     let mut infinite = Vec::new();
-    for j in (0..part.n_tracks()).filter(|j| slides.binary_search(j).is_err()) {
+    for j in 0..part.n_tracks() {
+        if slides.binary_search(&j).is_ok() {
+            continue;
+        }
         if frame.is_infinite(j) {
             infinite.push(j);
             continue;
@@ -40,6 +45,7 @@ pub(super) fn components<const D: usize, const W: usize>(
     for observations in &of_view {
         join_equal(&rates, observations.iter().copied(), &mut sets);
     }
+    join_bodies(&rates, &mut sets);
     // a point at infinity goes with its views, where these all go together
     for j in infinite {
         let homes = part.observations(j).map(|o| of_view[part.view[o] as usize].first().copied());
@@ -49,6 +55,7 @@ pub(super) fn components<const D: usize, const W: usize>(
             part.observations(j).for_each(|o| sets.join(home, o));
         }
     }
+    slides.iter().for_each(|&j| join_at_one_place(frame, &rates, j, &mut sets));
     sets.labels()
 }
 
@@ -68,8 +75,9 @@ fn combinations(null: &[Mode]) -> Vec<Vec<f64>> {
     (0..COMBINATIONS).map(mixed).collect()
 }
 
-/// What is compared of each observation, and how exactly: rates and turns one after the other.
+/// The similarity by which each null vector moves an observation, and how exactly it is known.
 struct Rates {
+    /// Numbers of an observation: of each null vector the stretch, the turn and the shift.
     each: usize,
     rate: Vec<f64>,
     /// Smallest difference that is one.
@@ -79,7 +87,8 @@ struct Rates {
 fn rates<const D: usize, const W: usize>(frame: &Frame<D>, null: &[Vec<f64>]) -> Rates {
     let part = &frame.part;
     let n_turns = W - D;
-    let each = null.len() * (1 + n_turns);
+    let of_one = 1 + n_turns + D;
+    let each = null.len() * of_one;
     let mut rate = vec![0.0; part.n_observations() * each];
     let mut tolerance = vec![0.0; part.n_observations()];
     for (k, step) in null.iter().enumerate() {
@@ -89,10 +98,18 @@ fn rates<const D: usize, const W: usize>(frame: &Frame<D>, null: &[Vec<f64>]) ->
                 let u = frame.segment(o, j);
                 let squared = u.dot::<D>(&u);
                 let moved = follower.minus(&frame.origin_shift::<W>(step, o, j));
-                let row = &mut rate[o * each + k * (1 + n_turns)..];
+                let row = &mut rate[o * each + k * of_one..][..of_one];
                 row[0] = u.dot::<D>(&moved) / squared;
                 let node = part.node_of(o) as usize;
-                row[1..=n_turns].copy_from_slice(&step[node * W..node * W + n_turns]);
+                let unknowns = &step[node * W..(node + 1) * W];
+                row[1..=n_turns].copy_from_slice(&unknowns[..n_turns]);
+                let center = frame.estimate.centers[node].vector::<D>();
+                // a view turns against its body
+                let turn = std::array::from_fn(|c| if c < n_turns { -unknowns[c] } else { 0.0 });
+                let turned = across(&turn, &center);
+                for c in 0..D {
+                    row[1 + n_turns + c] = unknowns[n_turns + c] - row[0] * center[c] - turned[c];
+                }
                 let reach = 1.0 + follower.dot::<D>(follower).sqrt();
                 tolerance[o] = SAME * f64::max(tolerance[o] / SAME, reach / squared.sqrt() + 1.0);
             }
@@ -120,6 +137,38 @@ fn join_equal(rates: &Rates, observations: impl Iterator<Item = usize>, sets: &m
     }
 }
 
+/// Joins the observations of a point that slides which slide alike: those from one place.
+fn join_at_one_place<const D: usize>(frame: &Frame<D>, rates: &Rates, j: usize, sets: &mut Sets) {
+    let observations: Vec<usize> = frame.part.observations(j).collect();
+    for (k, &a) in observations.iter().enumerate() {
+        let apart = |b: usize| {
+            let u = frame.segment(a, j).minus(&frame.segment(b, j));
+            u.dot::<D>(&u).sqrt()
+        };
+        for &b in observations[k + 1..].iter().filter(|&&b| rates.equal(a, b)) {
+            if apart(b) < PARALLEL {
+                sets.join(a, b);
+            }
+        }
+    }
+}
+
+/// Joins sets that move alike though they share no member.
+fn join_bodies(rates: &Rates, sets: &mut Sets) {
+    let mut bodies = sets.roots_of_many();
+    // what moves alike has equal numbers, the first of them too: candidates are neighbours in their order
+    let key = |o: usize| rates.rate.get(o * rates.each).copied().unwrap_or(0.0);
+    bodies.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
+    for (k, &a) in bodies.iter().enumerate() {
+        let within = |b: &&usize| key(**b) - key(a) <= rates.tolerance[a] + rates.tolerance[**b];
+        for &b in bodies[k + 1..].iter().take_while(within) {
+            if rates.equal(a, b) {
+                sets.join(a, b);
+            }
+        }
+    }
+}
+
 /// Disjoint sets, the smallest member of each its root.
 struct Sets {
     parent: Vec<u32>,
@@ -143,19 +192,24 @@ impl Sets {
         self.parent[a.max(b)] = a.min(b) as u32;
     }
 
-    /// Numbers from 0 for sets of two and more, -1 for single ones.
-    fn labels(mut self) -> Vec<i32> {
+    /// Roots of the sets of two and more.
+    fn roots_of_many(&mut self) -> Vec<usize> {
         let n = self.parent.len();
         let mut count = vec![0u32; n];
-        (0..n).for_each(|o| {
+        for o in 0..n {
             let root = self.root(o);
             count[root] += 1;
-        });
-        let mut number = vec![-1; n];
-        for (next, root) in (0..n).filter(|&root| count[root] > 1).enumerate() {
+        }
+        (0..n).filter(|&root| count[root] > 1).collect()
+    }
+
+    /// Numbers from 0 for sets of two and more, -1 for single ones.
+    fn labels(mut self) -> Vec<i32> {
+        let mut number = vec![-1; self.parent.len()];
+        for (next, root) in self.roots_of_many().into_iter().enumerate() {
             number[root] = next as i32;
         }
-        (0..n).map(|o| number[self.root(o)]).collect()
+        (0..number.len()).map(|o| number[self.root(o)]).collect()
     }
 }
 
