@@ -16,7 +16,7 @@ import numpy.typing as npt
 from panopath.model import Float
 
 if TYPE_CHECKING:
-    from panopath.certificate import Cause, Certificate, Hinge, Mode
+    from panopath.certificate import Cause, Certificate, Hinge, Mode, RigidComponent
 
 #: Members of a list that are named before the rest is only counted.
 _MOST_NAMES = 3
@@ -122,7 +122,7 @@ def part_lines(certificate: Certificate) -> list[str]:
     """Tell each rigid part: what it has, and how far noise moves it."""
     told = [
         f"part {number}: {part.verdict}, {_count(len(part.views), 'view')}, {_count(len(part.tracks), 'point')}, "
-        f"{_count(part.n_observations, 'observation')}, moved by {percent(part.weakest_movement)}"
+        f"{_count(part.n_observations, 'observation')}{_moved_by(part)}"
         for number, part in enumerate(certificate.components, 1)
     ]
     return _shortened(told, "part")
@@ -412,6 +412,11 @@ def _distance(place: Float, positions: tuple[Float, Float]) -> Float:
     size = float(np.sqrt(((known - middle) ** 2).sum(axis=1).mean()))
     distance = np.nan_to_num(np.linalg.norm(place - middle, axis=1), nan=size)
     return np.asarray(np.maximum(distance, size or 1.0))
+
+
+def _moved_by(part: RigidComponent) -> str:
+    """Tell how far noise moves a part; of one that moves for nothing that means nothing."""
+    return "" if part.verdict == "undetermined" else f", moved by {percent(part.weakest_movement)}"
 
 
 def _listed(kind: str, members: npt.ArrayLike, names: Sequence[str] | None) -> str:

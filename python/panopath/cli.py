@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from panopath import _core
-from panopath.certificate import Certificate, OrientationModel
+from panopath.certificate import Certificate, OrientationModel, Verdict
 from panopath.certificate_text import (
     Names,
     cause_lines,
@@ -816,7 +816,8 @@ def _certified_parts(certificate: Certificate) -> Table:
         table.add_column(name, justify="left" if name == "verdict" else "right")
     for number, part in enumerate(certificate.components[:_MOST_ROWS], 1):
         counts = (len(part.views), len(part.tracks), part.n_observations)
-        table.add_row(str(number), part.verdict.value, *(f"{n:,}" for n in counts), percent(part.weakest_movement))
+        moved = "-" if part.verdict is Verdict.UNDETERMINED else percent(part.weakest_movement)
+        table.add_row(str(number), part.verdict.value, *(f"{n:,}" for n in counts), moved)
     left = len(certificate.components) - _MOST_ROWS
     if left > 0:
         table.add_row("...", "", f"{left:,} more", "", "", "")
