@@ -76,6 +76,7 @@ bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 
 docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README and docs again
 	$(BIN)/python docs/figures.py
+	$(BIN)/python -m docs.figures_certificate
 
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist
 	$(BIN)/maturin build --release --out dist

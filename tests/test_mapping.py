@@ -343,6 +343,9 @@ def test_map_writes_models(copy: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert (plain["status"], plain["n_images"], plain["n_registered"]) == ("converged", N, N)
     assert plain["models"] == [str(out / "0")]
     assert not said.err
+    certificate = pp.read_certificate(out)
+    assert (certificate["orientation"], certificate["gauge_freedoms"]) == ("free", 7)
+    assert plain["certificate"]["sentence"] == certificate["sentence"]
     first = (out / "0" / "images.bin").read_bytes()
     # there already: not without --overwrite
     code, said = run(capsys, str(copy), "-o", str(out))

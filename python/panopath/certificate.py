@@ -1,16 +1,19 @@
 """What a scene's certificate says: which members are determined up to one similarity, which are not, why, and how well.
 
-Records only; :func:`panopath.certify` makes them. Indices of views and tracks are those of the scene.
+Records only; :func:`panopath.certify` makes them, ``certificate_text`` puts them into words. Indices of views and
+tracks are those of the scene.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Literal
 
 import numpy as np
 
+from panopath.certificate_text import Names, cause_sentence, explain, sentence
 from panopath.model import Float, Int, read_only
 
 #: What is known of the orientations: all of it; nothing; the vertical.
@@ -63,7 +66,7 @@ class CauseKind(StrEnum):
 
 @dataclass(frozen=True)
 class Gap:
-    """Values of modes on either side of the nullity: rms angle by which rays turn where the views move by their size."""
+    """Values of modes on either side of the nullity: rms angle by which rays turn where views move by their size."""
 
     #: The largest that counts as zero; 0 where none beyond the gauge does.
     last_null: float
@@ -135,7 +138,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Consistency:
-    """The consistency gate: does the converged scene look like a right one?"""
+    """The consistency gate: whether the converged scene looks like a right one."""
 
     passed: bool
     #: One clear sentence for each test that failed.
@@ -182,7 +185,8 @@ class Certificate:
     #: (all views,) standard deviation of each view's position against the views it shares most with, as a share of its
     #: distance from them; NaN where nothing determines it.
     view_looseness: Float
-    #: (all tracks,) standard deviation of each point, its views held, as a share of its distance; inf where no ray fixes it.
+    #: (all tracks,) standard deviation of each point, its views held, as a share of its distance; inf where no ray
+    #: fixes it.
     track_looseness: Float
 
     def __post_init__(self) -> None:
@@ -191,6 +195,201 @@ class Certificate:
         for name in ("view_component", "track_component"):
             object.__setattr__(self, name, read_only(np.ascontiguousarray(getattr(self, name), dtype=np.int32)))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; a number that is not finite becomes None."""
-        raise NotImplementedError
+    @property
+    def is_determined(self) -> bool:
+        """Whether the scene is unique, well held, and agrees with its bearings: what exit code 0 of ``check`` means."""
+        return self.verdict is Verdict.DETERMINED and self.consistency.passed
+
+    def sentence(self, view_labels: Sequence[str] | None = None, track_labels: Sequence[str] | None = None) -> str:
+        """Tell the verdict in one sentence of plain words; the word before the colon is the verdict.
+
+        Parameters
+        ----------
+        view_labels, track_labels
+            Names of all views and tracks, as ``scene.view_labels()`` gives them; default: their indices.
+        """
+        return sentence(self, Names(view_labels, track_labels))
+
+    def explain(
+        self,
+        view_labels: Sequence[str] | None = None,
+        track_labels: Sequence[str] | None = None,
+        positions: tuple[Float, Float] | None = None,
+    ) -> list[str]:
+        """Tell everything, a line each: the verdict, contradictions, spectrum, parts, hinges, causes, modes.
+
+        Parameters
+        ----------
+        view_labels, track_labels
+            As in :meth:`sentence`.
+        positions
+            Centres and points of the scene; with them a mode names only what moves against the largest part.
+        """
+        return explain(self, Names(view_labels, track_labels), positions)
+
+    def settled(self, mode: Mode, centers: Float, points: Float) -> Mode:
+        """Give the same mode with the largest part standing still: only what moves against it moves.
+
+        Parameters
+        ----------
+        mode
+            One of ``modes``.
+        centers, points
+            (n_views, d) and (n_tracks, d) positions of the scene; NaN rows where not known.
+        """
+        place = np.concatenate((centers, points))
+        moved = np.concatenate((mode.view_displacement, mode.track_displacement))
+        known = np.isfinite(place).all(axis=1) & np.isfinite(moved).all(axis=1)
+        held = np.zeros(len(place), dtype=np.bool_)
+        if self.components:
+            held[self.components[0].views] = True
+            held[len(centers) + self.components[0].tracks] = True
+        still = np.flatnonzero(known & (held if (held & known).sum() > 1 else known)).astype(np.int32)
+        return hold_still(mode, centers, points, still, self.orientation)
+
+    def to_dict(
+        self, view_labels: Sequence[str] | None = None, track_labels: Sequence[str] | None = None
+    ) -> dict[str, Any]:
+        """Plain values for JSON, keys always in the same order; what is not finite becomes None.
+
+        Views are told in full. Tracks are told by their number and at most ``MOST_TRACKS`` indices, the first ones; of
+        a mode, those that move the most.
+
+        Parameters
+        ----------
+        view_labels, track_labels
+            Names for the sentences; members are indices all the same.
+        """
+        names = Names(view_labels, track_labels)
+        loose = np.flatnonzero(self.track_component < 0)
+        return {
+            "verdict": self.verdict.value,
+            "is_determined": self.is_determined,
+            "sentence": sentence(self, names),
+            "nullity": int(self.nullity),
+            "gauge_freedoms": int(self.gauge_freedoms),
+            "gap": {"last_null": _plain(self.gap.last_null), "first_other": _plain(self.gap.first_other)},
+            "orientation": self.orientation,
+            "sigma_rad": _plain(self.sigma_rad),
+            "sigma_source": self.sigma_source,
+            "weak_movement": _plain(self.weak_movement),
+            "n_views": int(self.n_views),
+            "n_tracks": int(self.n_tracks),
+            "components": [_component_dict(part) for part in self.components],
+            "hinges": [
+                {"components": _plain(hinge.components), "views": _plain(hinge.views), "tracks": _some(hinge.tracks)}
+                for hinge in self.hinges
+            ],
+            "causes": [_cause_dict(cause, cause_sentence(cause, self, names)) for cause in self.causes],
+            "modes": [_mode_dict(mode) for mode in self.modes],
+            "consistency": {
+                "passed": bool(self.consistency.passed),
+                "reasons": list(self.consistency.reasons),
+                "statistics": {
+                    name: {"value": _plain(value), "limit": _plain(limit)}
+                    for name, (value, limit) in sorted(self.consistency.statistics.items())
+                },
+            },
+            "view_component": _plain(self.view_component),
+            "view_line": _plain(self.view_line),
+            "view_looseness": _plain(self.view_looseness),
+            "loose_tracks": _some(loose) | {"line": _plain(self.track_line[loose[:MOST_TRACKS]])},
+        }
+
+
+def hold_still(mode: Mode, centers: Float, points: Float, held: Int, orientation: OrientationModel) -> Mode:
+    """Take from a mode the movement of the whole scene (shift, scale, free turns) that moves ``held`` least.
+
+    Parameters
+    ----------
+    mode
+        What moves.
+    centers, points
+        (n_views, d) and (n_tracks, d) positions of the scene.
+    held
+        Indices of what shall stand still: views, then points counted on from ``n_views``.
+    orientation
+        Which turns the whole scene may make.
+    """
+    place = np.concatenate((centers, points))
+    moved = np.concatenate((mode.view_displacement, mode.track_displacement))
+    if not len(held):
+        return mode
+    middle = place[held].mean(axis=0)
+    gauge = _gauge_movements(place - middle, orientation)
+    amounts = np.linalg.lstsq(gauge[:, held].reshape(len(gauge), -1).T, moved[held].ravel(), rcond=1e-9)[0]
+    rest = moved - np.tensordot(amounts, gauge, axes=1)
+    size = np.abs(moved[np.isfinite(moved)]).max(initial=0.0)
+    rest[np.abs(rest) < 1e-9 * size] = 0.0
+    return replace(mode, view_displacement=rest[: len(centers)], track_displacement=rest[len(centers) :])
+
+
+def _gauge_movements(place: Float, orientation: OrientationModel) -> Float:
+    """(g, n, d) velocities of all places: shift along each axis, growth, and each turn that is free."""
+    d = place.shape[1]
+    shifts = [np.tile(axis, (len(place), 1)) for axis in np.eye(d)]
+    if orientation == "known":
+        return np.array([*shifts, place])
+    if d == 2:
+        return np.array([*shifts, place, place[:, ::-1] * (-1.0, 1.0)])
+    turns = [np.cross(axis, place) for axis in np.eye(3)]
+    return np.array([*shifts, place, *(turns if orientation == "free" else turns[2:])])
+
+
+#: Tracks that are named one by one in :meth:`Certificate.to_dict`.
+MOST_TRACKS = 1000
+
+
+def _component_dict(part: RigidComponent) -> dict[str, Any]:
+    return {
+        "verdict": part.verdict.value,
+        "weakest_movement": _plain(part.weakest_movement),
+        "n_observations": int(part.n_observations),
+        "views": _plain(part.views),
+        "tracks": _some(part.tracks),
+    }
+
+
+def _cause_dict(cause: Cause, text: str) -> dict[str, Any]:
+    return {
+        "kind": cause.kind.value,
+        "sentence": text,
+        "is_exact": bool(cause.is_exact),
+        "views": _plain(cause.views),
+        "tracks": _some(cause.tracks),
+        "components": _plain(cause.components),
+        "detail": cause.detail,
+        "shape": _plain(cause.shape),
+    }
+
+
+def _mode_dict(mode: Mode) -> dict[str, Any]:
+    speed = np.nan_to_num(np.linalg.norm(mode.track_displacement, axis=1))
+    fastest = np.sort(np.argsort(-speed, kind="stable")[:MOST_TRACKS])
+    fastest = fastest[speed[fastest] > 0.0]
+    return {
+        "value": _plain(mode.value),
+        "is_null": bool(mode.is_null),
+        "movement": _plain(mode.movement),
+        "component": mode.component,
+        "view_displacement": _plain(mode.view_displacement),
+        "view_turn_rad": _plain(mode.view_turn_rad),
+        "tracks": {"count": int((speed > 0.0).sum()), "indices": _plain(fastest)},
+        "track_displacement": _plain(mode.track_displacement[fastest]),
+    }
+
+
+def _some(tracks: Any) -> dict[str, Any]:
+    return {"count": len(tracks), "indices": _plain(tracks[:MOST_TRACKS])}
+
+
+def _plain(values: Any) -> Any:
+    """Numbers as JSON has them; None where one is not finite, and for a whole row of such."""
+    array = np.asarray(values)
+    if array.dtype.kind in "iub":
+        return array.tolist()
+    if array.ndim == 0:
+        return float(array) if np.isfinite(array) else None
+    if array.ndim == 2:
+        return [None if not np.isfinite(row).any() else _plain(row) for row in array]
+    return [float(value) if np.isfinite(value) else None for value in array.tolist()]

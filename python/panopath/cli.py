@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 import typer
@@ -22,20 +22,34 @@ from rich.console import Console
 from rich.table import Table
 
 from panopath import _core
+from panopath.certificate import Certificate, OrientationModel, Verdict
+from panopath.certificate_text import (
+    Names,
+    cause_lines,
+    consistency_lines,
+    hinge_lines,
+    looseness_lines,
+    mode_lines,
+    percent,
+    spectrum_lines,
+)
 from panopath.evaluate import Alignment, Evaluation, evaluate
 from panopath.formats import (
+    Database,
+    read_certificate,
     read_control,
     read_database,
     read_problem,
     read_scene,
     read_truth,
+    write_certificate,
     write_models,
     write_scene,
     write_tracks,
 )
 from panopath.formats.colmap import find_model
 from panopath.formats.csv import Form, read_vectors, write_orientations
-from panopath.formats.folder import check_writable, is_scene_folder
+from panopath.formats.folder import check_certificate_writable, check_writable, is_scene_folder
 from panopath.formats.models import check_model_folder
 from panopath.formats.parquet import write_parquet
 from panopath.formats.structure import known_scene
@@ -58,8 +72,8 @@ from panopath.model import (
     summary_dict,
 )
 from panopath.pipeline import ReconstructOptions, fit_to_control, reconstruct_tracks
-from panopath.report import draw_scene
-from panopath.steps import RefineOptions, position_covariance, solve_positions
+from panopath.report import draw_certificate, draw_scene
+from panopath.steps import CertifyOptions, RefineOptions, certify, position_covariance, solve_positions
 from panopath.synthetic import SyntheticWorld, WorldName, simulate
 
 EXIT_INPUT = 2
@@ -96,6 +110,7 @@ app = typer.Typer(
 )
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Tell all: parts, hinges, causes, modes, noise.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but complaints.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Write over what is there though panopath did not make it.")
@@ -234,21 +249,50 @@ def solve(
     begin = time.perf_counter()
     with terminal.working("solving"):
         if unknown_orientation or refine_orientation:
-            scene = _reconstruct(problem, options, gravity, unknown=unknown_orientation)
+            up = None if gravity is None else read_vectors(gravity, problem.tracks)
+            scene = _reconstruct(problem, options, up, unknown=unknown_orientation)
         else:
             scene = solve_positions(problem.tracks, problem.cam_from_world, options)
     seconds = time.perf_counter() - begin
+    found: OrientationModel = "known"
+    if unknown_orientation or refine_orientation:
+        found = "free" if gravity is None else "vertical"
+    certificate = _certify(terminal, scene, CertifyOptions(orientation=found, threads=threads))
     pictures = False
     if out is not None:
         with terminal.working("writing"):
-            pictures = _write(scene, out, options, overwrite, None if no_plots else _Drawing(terminal))
-    plain = summary_dict(scene.summary) | {"wall_s": seconds, "out": None if out is None else str(out)}
-    terminal.answer(plain, lambda console: _show_scene(console, scene, seconds, out, pictures))
+            drawing = None if no_plots else _Drawing(terminal)
+            pictures = _write(scene, certificate, out, options, overwrite, drawing)
+    plain = summary_dict(scene.summary) | {
+        "certificate": _brief(certificate, scene),
+        "wall_s": seconds,
+        "out": None if out is None else str(out),
+    }
+    terminal.answer(plain, lambda console: _show_scene(console, scene, certificate, seconds, out, pictures))
     if not scene.summary.status.is_determined:
         raise typer.Exit(EXIT_UNDETERMINED)
 
 
-def _reconstruct(problem: Problem, options: PositionOptions, gravity: Path | None, *, unknown: bool) -> Scene:
+def _certify(terminal: _Terminal, scene: Scene, options: CertifyOptions) -> Certificate:
+    """Certify a scene that holds its observations."""
+    if scene.tracks is None:
+        raise InputError("the scene holds no observations, expected some to certify it by")
+    with terminal.working("certifying"):
+        return certify(scene.tracks, scene, options)
+
+
+def _brief(certificate: Certificate, scene: Scene) -> dict[str, Any]:
+    """Pick what other answers tell of a certificate."""
+    return {
+        "verdict": certificate.verdict.value,
+        "is_determined": certificate.is_determined,
+        "sentence": certificate.sentence(scene.view_labels(), scene.track_labels()),
+        "nullity": int(certificate.nullity),
+        "gauge_freedoms": int(certificate.gauge_freedoms),
+    }
+
+
+def _reconstruct(problem: Problem, options: PositionOptions, up: Float | None, *, unknown: bool) -> Scene:
     """Orientations unknown, or free to move; known positions fit the result, turned too."""
     tracks = problem.tracks
     rotations = None if unknown else problem.cam_from_world
@@ -261,7 +305,6 @@ def _reconstruct(problem: Problem, options: PositionOptions, gravity: Path | Non
             max_iterations=options.max_iterations, linear_solver=options.linear_solver, threads=options.threads
         ),
     )
-    up = None if gravity is None else read_vectors(gravity, tracks)
     scene = reconstruct_tracks(tracks, rotations, gravity=up, options=steps)
     return scene if options.control is None else fit_to_control(scene, options.control)
 
@@ -299,6 +342,7 @@ def map_command(
     """
     terminal = _Terminal(as_json, quiet)
     check_model_folder(out, overwrite)
+    check_certificate_writable(out)
     options = MapOptions(
         min_num_matches=min_num_matches,
         min_track_length=min_track_length,
@@ -316,20 +360,34 @@ def map_command(
         mapped = map_database(found, options)
     scene = mapped.scene
     models: list[Path] = []
+    certificate: Certificate | None = None
     if scene.summary.n_solved_views:
+        certificate = _certified_map(terminal, found, scene)
         with terminal.working("writing"):
             models = write_models(found, mapped.reconstruction, out)
+            if certificate is not None:
+                write_certificate(certificate, scene, out)
     seconds = time.perf_counter() - begin
     registered = int((mapped.reconstruction.component >= 0).sum())
     plain = summary_dict(scene.summary) | {
         "n_images": found.n_images,
         "n_registered": registered,
         "models": [str(path) for path in models],
+        "certificate": None if certificate is None else _brief(certificate, scene),
         "wall_s": seconds,
     }
-    terminal.answer(plain, lambda console: _show_models(console, scene, registered, found.n_images, models, seconds))
+    terminal.answer(
+        plain, lambda console: _show_models(console, scene, certificate, registered, found.n_images, models, seconds)
+    )
     if not scene.summary.status.is_determined:
         raise typer.Exit(EXIT_UNDETERMINED)
+
+
+def _certified_map(terminal: _Terminal, database: Database, scene: Scene) -> Certificate | None:
+    """Certify a mapped scene; bearings of a rig start beside its centre, of which the certificate knows nothing."""
+    if database.has_rigs and np.any(database.center_in_rig):
+        return None
+    return _certify(terminal, scene, CertifyOptions(orientation="free"))
 
 
 @app.command("simulate", epilog=_EXIT_HELP)
@@ -403,6 +461,131 @@ def simulate_command(
     terminal.answer(plain, lambda console: _show_files(console, plain))
 
 
+@app.command(epilog=_EXIT_HELP)
+def check(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A folder that panopath wrote or a COLMAP model: certified as it is. Or bearings: solved first."
+        ),
+    ],
+    *,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for certificate.json and certificate.png.")
+    ] = None,
+    orientations: Annotated[
+        Path | None,
+        typer.Option(help="Bearings are in the cameras, turned as this CSV says (see panopath solve)."),
+    ] = None,
+    orientation: Annotated[
+        OrientationModel | None,
+        typer.Option(help="What is known of orientations. Default: free for COLMAP models, else known."),
+    ] = None,
+    sigma_deg: Annotated[
+        float | None, typer.Option(help="Accuracy of a bearing, one standard deviation. Default: what the data say.")
+    ] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads to use. Default: all cores.")] = None,
+    no_plots: NoPlots = False,
+    verbose: Verbose = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say what of a scene is determined, what is not, why, and how well.
+
+    The word before the first colon is the verdict. The exit code is 0 only where everything is determined.
+    """
+    terminal = _Terminal(as_json, quiet)
+    if out is not None:
+        check_certificate_writable(out)
+    sigma_rad = None if sigma_deg is None else _sigma_rad(sigma_deg)
+    scene, model = _scene_to_check(terminal, source, orientations, orientation, sigma_deg, threads)
+    begin = time.perf_counter()
+    certificate = _certify(terminal, scene, CertifyOptions(orientation=model, sigma_rad=sigma_rad, threads=threads))
+    seconds = time.perf_counter() - begin
+    if out is not None:
+        with terminal.working("writing"):
+            _write_certificate(certificate, scene, out, None if no_plots else _Drawing(terminal))
+    names = Names(scene.view_labels(), scene.track_labels())
+    plain = certificate.to_dict(names.views, names.tracks) | {
+        "lines": certificate.explain(names.views, names.tracks, (scene.centers, scene.points)),
+        "wall_s": seconds,
+        "out": None if out is None else str(out),
+    }
+    terminal.answer(plain, lambda console: _show_certificate(console, certificate, scene, names, verbose))
+    if not certificate.is_determined:
+        raise typer.Exit(EXIT_UNDETERMINED)
+
+
+def _scene_to_check(  # noqa: PLR0917 (what the command line says of it, all of it)
+    terminal: _Terminal,
+    source: Path,
+    orientations: Path | None,
+    orientation: OrientationModel | None,
+    sigma_deg: float | None,
+    threads: int | None,
+) -> tuple[Scene, OrientationModel]:
+    """Read the scene, or solve the bearings; and tell what was known of orientations."""
+    if source.is_dir() and orientations is None:
+        with terminal.working("reading"):
+            scene = _judged(source)
+        return scene, _dimension_fits(orientation or _model_of(source), scene.d)
+    with terminal.working("reading"):
+        problem = _with_sigma(read_problem(source, orientations), sigma_deg)
+    model = _dimension_fits(orientation or "known", problem.tracks.d)
+    options = PositionOptions(threads=threads)
+    with terminal.working("solving"):
+        if model == "known":
+            return _solved_whole(problem, options), model
+        up = _upward(problem) if model == "vertical" else None
+        return _reconstruct(problem, options, up, unknown=problem.cam_from_world is None), model
+
+
+def _solved_whole(problem: Problem, options: PositionOptions) -> Scene:
+    """Solve with known orientations; as one where parts share no scale, so that what joins them can be certified.
+
+    Split, a view that two parts share has a place in one of them only, and parts that are not rigid have none. As one,
+    the scene is one of many that fit, which is what a certificate is about; it counts if it fits as well.
+    """
+    scene = solve_positions(problem.tracks, problem.cam_from_world, options)
+    if scene.summary.status not in (Status.DISCONNECTED, Status.UNDETERMINED):
+        return scene
+    whole = solve_positions(problem.tracks, problem.cam_from_world, replace(options, split_parts=False))
+    return whole if whole.summary.n_inliers >= scene.summary.n_inliers else scene
+
+
+def _dimension_fits(model: OrientationModel, d: int) -> OrientationModel:
+    if model == "vertical" and d == 2:
+        raise InputError("--orientation is vertical, which asks for space; in the plane expected known or free")
+    return model
+
+
+def _model_of(folder: Path) -> OrientationModel:
+    """Tell what was known of orientations when a folder was written, as its certificate says where it has one."""
+    if not is_scene_folder(folder):
+        return "free"
+    try:
+        said = read_certificate(folder).get("orientation")
+    except InputError:
+        return "known"
+    return next((model for model in get_args(OrientationModel) if model == said), "known")
+
+
+def _upward(problem: Problem) -> Float:
+    """(n_views, 3) the vertical in each camera: z where cameras are not turned."""
+    if problem.cam_from_world is None:
+        return np.tile((0.0, 0.0, 1.0), (problem.tracks.n_views, 1))
+    return np.ascontiguousarray(problem.cam_from_world[:, :, 2])
+
+
+def _write_certificate(certificate: Certificate, scene: Scene, out: Path, drawing: _Drawing | None) -> None:
+    write_certificate(certificate, scene, out)
+    if drawing is not None:
+        try:
+            draw_certificate(scene, certificate, out)
+        except MissingExtraError as error:
+            drawing.terminal.warn(str(error))
+
+
 @app.command("evaluate", epilog=_EXIT_HELP)
 def evaluate_command(
     out: Annotated[Path, typer.Argument(help="Folder that panopath solve wrote, or a COLMAP model.")],
@@ -467,16 +650,19 @@ def demo(
     with terminal.working("finding the best that is possible"):
         expected = _expected_rms(world)
     in_metres = replace(scene, centers=result.aligned_centers, points=result.aligned_points)
+    certificate = _certify(terminal, in_metres, CertifyOptions())
     with terminal.working("writing"):
         drawing = None if no_plots else _Drawing(terminal, world.centers, "m")
-        pictures = _write(in_metres, out, PositionOptions(), overwrite, drawing)
+        pictures = _write(in_metres, certificate, out, PositionOptions(), overwrite, drawing)
     plain = (
         summary_dict(scene.summary)
         | result.to_dict()
-        | {"expected_camera_rms": expected, "wall_s": seconds, "out": str(out)}
+        | {"certificate": _brief(certificate, in_metres), "expected_camera_rms": expected}
+        | {"wall_s": seconds, "out": str(out)}
     )
     terminal.answer(
-        plain, lambda console: _show_demo(console, in_metres, world, result, expected, seconds, out, pictures)
+        plain,
+        lambda console: _show_demo(console, in_metres, certificate, world, result, expected, seconds, out, pictures),
     )
     if not scene.summary.status.is_determined:
         raise typer.Exit(EXIT_UNDETERMINED)
@@ -496,10 +682,14 @@ def _position_options(*, gauge: Gauge | None, control: Path | None, **choices: A
 def _with_sigma(problem: Problem, sigma_deg: float | None) -> Problem:
     if sigma_deg is None or problem.tracks.sigma_rad is not None:
         return problem
+    sigma_rad = np.full(len(problem.tracks), _sigma_rad(sigma_deg))
+    return replace(problem, tracks=replace(problem.tracks, sigma_rad=sigma_rad), scene=None)
+
+
+def _sigma_rad(sigma_deg: float) -> float:
     if not (np.isfinite(sigma_deg) and sigma_deg > 0.0):
         raise InputError(f"--sigma-deg is {sigma_deg}, expected a positive number")
-    sigma_rad = np.full(len(problem.tracks), np.radians(sigma_deg))
-    return replace(problem, tracks=replace(problem.tracks, sigma_rad=sigma_rad), scene=None)
+    return float(np.radians(sigma_deg))
 
 
 @dataclass(frozen=True)
@@ -511,7 +701,14 @@ class _Drawing:
     unit: str = ""
 
 
-def _write(scene: Scene, out: Path, options: PositionOptions, overwrite: bool, drawing: _Drawing | None) -> bool:
+def _write(  # noqa: PLR0917 (what is written, and how)
+    scene: Scene,
+    certificate: Certificate,
+    out: Path,
+    options: PositionOptions,
+    overwrite: bool,
+    drawing: _Drawing | None,
+) -> bool:
     """Write the folder; the pictures belong to it where matplotlib is there. Returns whether they do."""
     drawn = False
 
@@ -520,11 +717,12 @@ def _write(scene: Scene, out: Path, options: PositionOptions, overwrite: bool, d
         if drawing is not None:
             try:
                 draw_scene(scene, folder, drawing.truth, drawing.unit)
+                draw_certificate(scene, certificate, folder, drawing.unit)
                 drawn = True
             except MissingExtraError as error:
                 drawing.terminal.warn(str(error))
 
-    write_scene(scene, out, options=options, overwrite=overwrite, extra=draw)
+    write_scene(scene, out, options=options, overwrite=overwrite, extra=draw, certificate=certificate)
     return drawn
 
 
@@ -567,7 +765,9 @@ def _expected_rms(world: SyntheticWorld) -> float:
     return float(np.sqrt(np.nanmean(np.trace(covariance, axis1=1, axis2=2))))
 
 
-def _show_scene(console: Console, scene: Scene, seconds: float, out: Path | None, pictures: bool) -> None:
+def _show_scene(  # noqa: PLR0917 (prints what was found, all of it)
+    console: Console, scene: Scene, certificate: Certificate, seconds: float, out: Path | None, pictures: bool
+) -> None:
     console.print(_parts_table(scene))
     summary = scene.summary
     console.print(f"{_STATUS_TEXT[summary.status]}; {summary.iterations} iterations, {seconds:.2f} s", markup=False)
@@ -576,19 +776,71 @@ def _show_scene(console: Console, scene: Scene, seconds: float, out: Path | None
     left = (summary.n_views - summary.n_solved_views, summary.n_tracks - summary.n_solved_points)
     if any(left):
         console.print(f"not determined: {left[0]:,} views and {left[1]:,} points")
+    _show_sentence(console, certificate, scene)
     if out is None:
         console.print("nothing was written; -o FOLDER writes the scene")
     else:
-        console.print(f"written to {out}" + (" (look at views.png and errors.png)" if pictures else ""), markup=False)
+        console.print(
+            f"written to {out}" + (" (look at views.png, errors.png and certificate.png)" if pictures else ""),
+            markup=False,
+        )
+
+
+def _show_sentence(console: Console, certificate: Certificate, scene: Scene) -> None:
+    """Summarise a certificate in one line, among other answers."""
+    told = certificate.sentence(scene.view_labels(), scene.track_labels())
+    console.print(f"certificate: {told}", markup=False)
+
+
+def _show_certificate(console: Console, certificate: Certificate, scene: Scene, names: Names, verbose: bool) -> None:
+    console.print(certificate.sentence(names.views, names.tracks), markup=False)
+    for line in consistency_lines(certificate):
+        console.print(line, markup=False)
+    if not verbose:
+        return
+    console.print(_certified_parts(certificate))
+    details = [
+        *spectrum_lines(certificate),
+        *hinge_lines(certificate, names),
+        *cause_lines(certificate, names),
+        *mode_lines(certificate, names, (scene.centers, scene.points)),
+        *looseness_lines(certificate, names),
+    ]
+    for line in details:
+        console.print(line, markup=False)
+
+
+def _certified_parts(certificate: Certificate) -> Table:
+    table = Table(header_style="bold")
+    for name in ("part", "verdict", "views", "points", "observations", "moved by noise"):
+        table.add_column(name, justify="left" if name == "verdict" else "right")
+    for number, part in enumerate(certificate.components[:_MOST_ROWS], 1):
+        counts = (len(part.views), len(part.tracks), part.n_observations)
+        moved = "-" if part.verdict is Verdict.UNDETERMINED else percent(part.weakest_movement)
+        table.add_row(str(number), part.verdict.value, *(f"{n:,}" for n in counts), moved)
+    left = len(certificate.components) - _MOST_ROWS
+    if left > 0:
+        table.add_row("...", "", f"{left:,} more", "", "", "")
+    return table
 
 
 def _show_models(  # noqa: PLR0917 (prints what was found, all of it)
-    console: Console, scene: Scene, registered: int, n_images: int, models: Sequence[Path], seconds: float
+    console: Console,
+    scene: Scene,
+    certificate: Certificate | None,
+    registered: int,
+    n_images: int,
+    models: Sequence[Path],
+    seconds: float,
 ) -> None:
     console.print(_parts_table(scene))
     console.print(f"{_STATUS_TEXT[scene.summary.status]}; {registered:,} of {n_images:,} images, {seconds:.2f} s")
     if np.isfinite(scene.summary.sigma_rad):
         console.print(f"accuracy of a feature: {np.degrees(scene.summary.sigma_rad):.4g} degrees")
+    if certificate is not None:
+        _show_sentence(console, certificate, scene)
+    elif models:
+        console.print("no certificate: the bearings of a rig start beside its centre")
     for path in models:
         console.print(f"model: {path}", markup=False)
     if not models:
@@ -671,6 +923,7 @@ def _length(value: float) -> str:
 def _show_demo(  # noqa: PLR0917 (prints what was found, all of it)
     console: Console,
     scene: Scene,
+    certificate: Certificate,
     world: SyntheticWorld,
     result: Evaluation,
     expected: float,
@@ -682,7 +935,7 @@ def _show_demo(  # noqa: PLR0917 (prints what was found, all of it)
         f"A street walk: {world.tracks.n_views:,} views 1 m apart, {world.tracks.n_tracks:,} points, noise "
         f"{np.degrees(world.noise_rad):g} degrees, {100.0 * float(world.outlier.mean()):.1f} % of the bearings wrong."
     )
-    _show_scene(console, scene, seconds, out, pictures)
+    _show_scene(console, scene, certificate, seconds, out, pictures)
     found = scene.inlier
     missed = int((found & world.outlier).sum())
     lost = int((~found & ~world.outlier).sum())

@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 import zipfile
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from panopath import _core
+from panopath.certificate import Certificate
 from panopath.formats.colmap import write_colmap
 from panopath.formats.csv import quaternion_from_rotation, quoted, table_bytes
 from panopath.formats.ply import ply_bytes
@@ -38,6 +40,7 @@ from panopath.model import (
 )
 
 _MARK = "scene.json"
+_CERTIFICATE = "certificate.json"
 _LAYOUT = 1
 _SCENE_ARRAYS = ("centers", "points", "view_component", "track_component", "inlier", "residual_rad", "cam_from_world")
 
@@ -50,6 +53,7 @@ def write_scene(
     *,
     overwrite: bool = False,
     extra: Callable[[Path], None] | None = None,
+    certificate: Certificate | None = None,
 ) -> Path:
     """Write a scene in every form: see the module's text for the files.
 
@@ -67,6 +71,8 @@ def write_scene(
         Whether to write into a folder that panopath did not make; files of other names stay as they are.
     extra
         Called with a folder that becomes part of the answer, to add files of its own, such as pictures.
+    certificate
+        What is certain of the scene; becomes part of ``scene.json``.
 
     Returns
     -------
@@ -93,7 +99,7 @@ def write_scene(
         if extra is not None:
             extra(staged)
         names = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if path.is_file())
-        (staged / _MARK).write_text(_scene_json(scene, options, [*names, _MARK]), encoding="utf-8")
+        (staged / _MARK).write_text(_scene_json(scene, options, [*names, _MARK], certificate), encoding="utf-8")
         _put_in_place(staged, place)
     except OSError as error:
         raise InputError(f"{place}: cannot be written ({error.strerror})") from None
@@ -157,6 +163,76 @@ def read_scene(folder: str | PathLike[str]) -> Scene:
         raise InputError(f"{path}: is damaged ({error})") from None
 
 
+def write_certificate(certificate: Certificate, scene: Scene, folder: str | PathLike[str]) -> Path:
+    """Write ``certificate.json`` for a scene that has no ``scene.json``, such as a COLMAP model.
+
+    Parameters
+    ----------
+    certificate
+        What was found.
+    scene
+        What was certified: its names go into the sentences.
+    folder
+        Where to; it is made where it is absent. Other files stay as they are.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        Where a ``certificate.json`` is there that panopath did not write, or none can be written. Nothing has changed
+        then.
+    """
+    check_certificate_writable(folder)
+    path = Path(folder) / _CERTIFICATE
+    content = {
+        "panopath": {"version": _core.__version__, "layout": _LAYOUT},
+        "certificate": _certificate(certificate, scene),
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as staged:
+            (Path(staged) / path.name).write_text(_json(content), encoding="utf-8")
+            os.replace(Path(staged) / path.name, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    return path
+
+
+def check_certificate_writable(folder: str | PathLike[str]) -> None:
+    """Say now, before long work, whether :func:`write_certificate` would refuse.
+
+    Raises
+    ------
+    InputError
+        Where it would.
+    """
+    place = Path(folder)
+    if place.exists() and not place.is_dir():
+        raise InputError(f"{place}: is a file, expected a folder to write to")
+    if (place / _CERTIFICATE).exists() and _mark(place, _CERTIFICATE) is None:
+        raise InputError(f"{place / _CERTIFICATE}: is not panopath's; name another folder")
+
+
+def read_certificate(folder: str | PathLike[str]) -> dict[str, Any]:
+    """Read the certificate that ``scene.json`` holds, or else ``certificate.json``: plain values.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    place = Path(folder)
+    for name in (_MARK, _CERTIFICATE):
+        found = (_mark(place, name) or {}).get("certificate")
+        if isinstance(found, dict):
+            return found
+    raise InputError(f"{place}: holds no certificate; panopath check -o writes one")
+
+
 def _with_tracks(scene: Scene, tracks: Tracks) -> Scene:
     fields = {name: getattr(scene, name) for name in (*_SCENE_ARRAYS, "summary")}
     return Scene(
@@ -167,9 +243,9 @@ def _with_tracks(scene: Scene, tracks: Tracks) -> Scene:
     )
 
 
-def _mark(folder: Path) -> dict[str, Any] | None:
+def _mark(folder: Path, name: str = _MARK) -> dict[str, Any] | None:
     try:
-        found = json.loads((folder / _MARK).read_text(encoding="utf-8"))
+        found = json.loads((folder / name).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     is_ours = isinstance(found, dict) and isinstance(found.get("panopath"), dict)
@@ -259,7 +335,9 @@ def _summary(plain: dict[str, Any]) -> Summary:
     return Summary(**fields)
 
 
-def _scene_json(scene: Scene, options: PositionOptions | None, files: Sequence[str]) -> str:
+def _scene_json(
+    scene: Scene, options: PositionOptions | None, files: Sequence[str], certificate: Certificate | None
+) -> str:
     content = {
         "panopath": {"version": _core.__version__, "layout": _LAYOUT},
         "d": scene.d,
@@ -271,7 +349,19 @@ def _scene_json(scene: Scene, options: PositionOptions | None, files: Sequence[s
         "options": None if options is None else options.to_dict(),
         "files": sorted(files),
     }
-    return json.dumps(content, indent=2) + "\n"
+    if certificate is not None:
+        content["certificate"] = _certificate(certificate, scene)
+    return _json(content)
+
+
+def _certificate(certificate: Certificate, scene: Scene) -> dict[str, Any]:
+    return certificate.to_dict(scene.view_labels(), scene.track_labels())
+
+
+def _json(content: dict[str, Any]) -> str:
+    """Indented text with each list of numbers on one line. A string cannot hold the line breaks looked for."""
+    text = json.dumps(content, indent=2, allow_nan=False)
+    return re.sub(r"\[\n([^\[\]{}\"]*)\]", lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
 def _cameras_csv(scene: Scene) -> bytes:
