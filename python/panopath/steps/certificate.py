@@ -33,7 +33,7 @@ class CertifyOptions:
     #: tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
     sigma_rad: float | None = None
     #: A movement at one standard deviation beyond this share of a component's size is weak.
-    weak_movement: float = 0.1
+    weak_movement: float = 0.05
     #: Threads to use; None: all cores. The answer does not depend on it.
     threads: int | None = None
 

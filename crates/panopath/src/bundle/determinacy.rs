@@ -204,12 +204,6 @@ impl GaugeBasis {
         self.basis.len()
     }
 
-    /// A displacement of all cameras with the gauge taken out.
-    pub fn removed(&self, mut x: Vec<f64>) -> Vec<f64> {
-        self.remove(&mut x);
-        x
-    }
-
     /// Takes the gauge out of a displacement of all cameras.
     pub fn remove(&self, x: &mut [f64]) {
         for vector in &self.basis {

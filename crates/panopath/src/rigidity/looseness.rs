@@ -17,6 +17,8 @@ const REALLY_FAR: f64 = 0.1;
 /// A far point must show that it is: by views that stand across its ray, this many times (squared) farther apart than noise
 /// would let them appear were they all on one line with a near one.
 const FAR_MULTIPLE: f64 = 450.0;
+/// The same for a near point.
+const NEAR_MULTIPLE: f64 = 25.0;
 /// Views that share tracks with a view and are compared with it, the nearest in the pattern.
 const NEIGHBOURS: usize = 48;
 
@@ -150,10 +152,9 @@ fn farthest_coordinate<const D: usize, const W: usize>(frame: &Frame<D>, held: &
 ///
 /// A point that could slide along its rays but for the noise in them counts as [`LOOSE`] or more: sliding by `a` stretches
 /// the segments by `lambda` and, at positions that err by the noise, turns them by about `sigma lambda`.
-pub(super) fn of_points<const D: usize>(frame: &Frame<D>, noise_multiple: f64) -> Vec<f64> {
+pub(super) fn of_points<const D: usize>(frame: &Frame<D>) -> Vec<f64> {
     let sight = ranges_of_sight(frame);
-    let of =
-        |j: &usize| Slide::<D>::of(frame, *j, &sight).map_or(f64::INFINITY, |slide| slide.looseness(noise_multiple));
+    let of = |j: &usize| Slide::<D>::of(frame, *j, &sight).map_or(f64::INFINITY, |slide| slide.looseness());
     (0..frame.part.n_tracks()).collect::<Vec<usize>>().par_iter().map(of).collect()
 }
 
@@ -239,10 +240,10 @@ impl<const D: usize> Slide<D> {
         Some((along, variance))
     }
 
-    fn looseness(&self, noise_multiple: f64) -> f64 {
+    fn looseness(&self) -> f64 {
         let known_far = f64::min(1.0, self.reach / self.far);
         let deviation = self.variance.sqrt() * known_far;
-        let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { noise_multiple };
+        let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { NEAR_MULTIPLE };
         let near_null = LOOSE * ((D - 1) as f64 * multiple * self.stretched).sqrt();
         deviation * f64::max(1.0 / self.far, near_null)
     }

@@ -143,12 +143,13 @@ const NULL_VALUE: f64 = 1e-9;
 const ROUNDING_RAD: f64 = 1e-7;
 /// Such a scene has modes that are null but for this multiple of its residuals.
 const ROUNDING_MULTIPLE: f64 = 30.0;
-/// An exact ambiguity seen through noise has, in units of what noise gives it on average, at most this energy.
-const NOISE_MULTIPLE: f64 = 25.0;
+/// An exact ambiguity seen through noise has at most this energy, in units of what noise gives it on average: the first where
+/// very many segments share in it, and more, by the second over the root of their number, where few do.
+const NOISE_MULTIPLE: (f64, f64) = (1.5, 75.0);
 /// Modes, the weakest, that are tested for being such an ambiguity.
 const NOISE_MODES: usize = 3;
 /// A member whose standard deviation is beyond this share of its distance is held loosely.
-pub const LOOSE: f64 = 0.1;
+pub const LOOSE: f64 = 0.05;
 /// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
 const LOOSE_POINTS: f64 = 0.05;
 /// Share of the views, and of the tracks, with observations that a determined scene may leave out.
@@ -526,7 +527,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             loose_views += usize::from(looseness * sigma > LOOSE);
         }
         let mut loose_points = 0;
-        for (&track, looseness) in frame.part.input_track.iter().zip(looseness::of_points(frame, NOISE_MULTIPLE)) {
+        for (&track, looseness) in frame.part.input_track.iter().zip(looseness::of_points(frame)) {
             let slot = &mut self.track_looseness[track as usize];
             *slot = slot.min(looseness * sigma);
             loose_points += usize::from(looseness.is_nan() || looseness * sigma > LOOSE);
@@ -688,7 +689,7 @@ fn gets_weaker<const D: usize, const W: usize, M: Mobility<D, W>>(
 fn is_noise<const D: usize, const W: usize>(frame: &Frame<D>, mode: &Mode, sigma: f64) -> bool {
     let part = &frame.part;
     let followers = frame.followers::<W>(&mode.step);
-    let mut spread = 0.0;
+    let (mut spread, mut fourth) = (0.0, 0.0);
     for (j, follower) in followers.iter().enumerate() {
         let rate = |o: usize| {
             let u = frame.segment(o, j);
@@ -696,10 +697,19 @@ fn is_noise<const D: usize, const W: usize>(frame: &Frame<D>, mode: &Mode, sigma
         };
         let observations = part.observations(j);
         let mean = observations.clone().map(rate).sum::<f64>() / observations.len() as f64;
-        spread += observations.map(|o| (rate(o) - mean).powi(2)).sum::<f64>();
+        for squared in observations.map(|o| (rate(o) - mean).powi(2)) {
+            spread += squared;
+            fourth += squared * squared;
+        }
     }
+    let sharing = (D - 1) as f64 * spread * spread / f64::max(fourth, f64::MIN_POSITIVE);
     let energy = mode.value * mode.value * part.n_observations() as f64;
-    energy < NOISE_MULTIPLE * (D - 1) as f64 * sigma * sigma * spread
+    energy < noise_multiple(sharing) * (D - 1) as f64 * sigma * sigma * spread
+}
+
+/// How far above its average the energy that noise gives to an ambiguity may lie.
+fn noise_multiple(sharing: f64) -> f64 {
+    NOISE_MULTIPLE.0 + NOISE_MULTIPLE.1 / sharing.max(1.0).sqrt()
 }
 
 /// Nodes and tracks of the frame in a component.

@@ -22,13 +22,13 @@ pub struct CertifyOptions {
     /// Angular standard deviation of an observation; of median sigma where the tracks carry sigmas. Default: that of the
     /// tracks, else that of the residuals.
     pub sigma_rad: Option<f64>,
-    /// A movement at one standard deviation beyond this share of the size is weak. Default: 0.1.
+    /// A movement at one standard deviation beyond this share of the size is weak. Default: 0.05.
     pub weak_movement: f64,
 }
 
 impl Default for CertifyOptions {
     fn default() -> Self {
-        Self { orientation: OrientationModel::default(), sigma_rad: None, weak_movement: 0.1 }
+        Self { orientation: OrientationModel::default(), sigma_rad: None, weak_movement: 0.05 }
     }
 }
 

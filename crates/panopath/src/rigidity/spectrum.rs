@@ -123,7 +123,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
 
     /// The least value among combinations of the displacements of some modes, found at another scene.
     pub fn least_among(&self, modes: &[Mode]) -> Result<f64, LeastSquaresError> {
-        let basis = orthonormal(modes.iter().map(|mode| self.gauge.removed(mode.step.clone())).collect());
+        let basis = orthonormal(modes.iter().map(|mode| mode.step.clone()).collect(), self.gauge);
         let n = self.frame.part.n_observations() as f64 / self.frame.views.len() as f64;
         Ok(self.combined(&basis)?.0.first().map_or(f64::INFINITY, |least| least / n.sqrt()))
     }
@@ -151,7 +151,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let n = self.frame.views.len() * W;
         let unit = |k: usize| (0..n).map(|i| f64::from(u8::from(i == k))).collect::<Vec<f64>>();
         let present = (0..n).filter(|k| !self.absent[k % W]);
-        orthonormal(present.map(|k| self.gauge.removed(unit(k))).collect())
+        orthonormal(present.map(unit).collect(), self.gauge)
     }
 
     /// An orthonormal basis of the weakest modes, beyond the gauge.
@@ -163,19 +163,19 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let n = self.frame.views.len() * W;
         let start = |a: usize| {
             let x = (0..n).map(|k| if self.absent[k % W] { 0.0 } else { scattered(a * n + k) });
-            self.gauge.removed(x.collect())
+            x.collect::<Vec<f64>>()
         };
-        let mut basis = orthonormal((0..count).map(start).collect());
+        let mut basis = orthonormal((0..count).map(start).collect(), self.gauge);
         for _ in 0..ITERATIONS {
             let solved: Result<Vec<Vec<f64>>, LeastSquaresError> = basis
                 .into_iter()
                 .map(|mut x| {
                     clear_held(system.held(), &mut x);
                     system.solve_for(&mut x)?;
-                    Ok(self.gauge.removed(x))
+                    Ok(x)
                 })
                 .collect();
-            basis = orthonormal(solved?);
+            basis = orthonormal(solved?, self.gauge);
         }
         Ok(basis)
     }
@@ -190,7 +190,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let (mut values, mut vectors) = (values, vectors);
         if low > 0 && low < values.len() {
             let rest = vectors.split_off(low);
-            let (low_values, low_vectors) = self.combined(&orthonormal(vectors))?;
+            let (low_values, low_vectors) = self.combined(&orthonormal(vectors, self.gauge))?;
             let kept = low_vectors.len();
             vectors = low_vectors;
             vectors.extend(rest);
@@ -305,13 +305,15 @@ impl<const D: usize> Follow<D> {
     }
 }
 
-/// Makes vectors orthonormal, those that depend on others left out. Each is taken off twice: once loses digits.
-fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+/// Makes vectors orthonormal and free of the gauge, those that depend on others left out. What is taken off is taken off
+/// twice: once loses digits.
+fn orthonormal(vectors: Vec<Vec<f64>>, gauge: &GaugeBasis) -> Vec<Vec<f64>> {
     const DEPENDENT: f64 = 1e-9;
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
     for mut vector in vectors {
         let before = inner(&vector, &vector).sqrt();
         for _ in 0..2 {
+            gauge.remove(&mut vector);
             for other in &basis {
                 let along = inner(&vector, other);
                 vector.iter_mut().zip(other).for_each(|(x, b)| *x -= along * b);
