@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::LOOSE;
 use super::frame::Frame;
 use super::spectrum::{Analysis, Mobility};
+use super::{LOOSE_POINT, noise_multiple};
 use crate::bundle::estimate::Estimate;
 use crate::bundle::newton::NewtonWeights;
 use crate::bundle::noise::median;
@@ -16,9 +16,9 @@ use crate::least_squares::{LeastSquaresError, SelectedInverse};
 const REALLY_FAR: f64 = 0.1;
 /// A far point must show that it is: by views that stand across its ray, this many times (squared) farther apart than noise
 /// would let them appear were they all on one line with a near one.
-const FAR_MULTIPLE: f64 = 450.0;
-/// The same for a near point.
-const NEAR_MULTIPLE: f64 = 25.0;
+const FAR_MULTIPLE: f64 = 600.0;
+/// For a near point it is what noise gives to modes, times this: its views err too.
+const NEAR_MULTIPLE: f64 = 1.4;
 /// Views that share tracks with a view and are compared with it, the nearest in the pattern.
 const NEIGHBOURS: usize = 48;
 
@@ -150,7 +150,7 @@ fn farthest_coordinate<const D: usize, const W: usize>(frame: &Frame<D>, held: &
 /// spread of its views (or over the distance at which these see things, where that is more), if this is less: a point may be
 /// as far as it likes, if it is known to be far.
 ///
-/// A point that could slide along its rays but for the noise in them counts as [`LOOSE`] or more: sliding by `a` stretches
+/// A point that could slide along its rays but for the noise in them counts as [`LOOSE_POINT`] or more: sliding by `a` stretches
 /// the segments by `lambda` and, at positions that err by the noise, turns them by about `sigma lambda`.
 pub(super) fn of_points<const D: usize>(frame: &Frame<D>) -> Vec<f64> {
     let sight = ranges_of_sight(frame);
@@ -172,6 +172,8 @@ fn ranges_of_sight<const D: usize>(frame: &Frame<D>) -> Vec<f64> {
 
 /// The displacement of a point that its rays resist least.
 struct Slide<const D: usize> {
+    /// Numbers that its rays tell.
+    rows: f64,
     /// Variance along it at one radian of noise.
     variance: f64,
     /// Squared stretch rates of the segments, added up.
@@ -205,7 +207,13 @@ impl<const D: usize> Slide<D> {
             let u = frame.segment(o, j);
             (u.dot::<D>(&along) / u.dot::<D>(&u)).powi(2)
         };
-        Some(Self { variance, stretched: observations.map(stretch).sum(), far, reach: spread.max(seen) })
+        Some(Self {
+            rows: (D - 1) as f64 * n,
+            variance,
+            stretched: observations.map(stretch).sum(),
+            far,
+            reach: spread.max(seen),
+        })
     }
 
     /// Along the mean ray. How far views stand across it is known as well as where they are, though rays from there may be
@@ -243,8 +251,8 @@ impl<const D: usize> Slide<D> {
     fn looseness(&self) -> f64 {
         let known_far = f64::min(1.0, self.reach / self.far);
         let deviation = self.variance.sqrt() * known_far;
-        let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { NEAR_MULTIPLE };
-        let near_null = LOOSE * ((D - 1) as f64 * multiple * self.stretched).sqrt();
+        let multiple = if known_far < REALLY_FAR { FAR_MULTIPLE } else { NEAR_MULTIPLE * noise_multiple(self.rows) };
+        let near_null = LOOSE_POINT * ((D - 1) as f64 * multiple * self.stretched).sqrt();
         deviation * f64::max(1.0 / self.far, near_null)
     }
 }

@@ -148,8 +148,10 @@ const ROUNDING_MULTIPLE: f64 = 30.0;
 const NOISE_MULTIPLE: (f64, f64) = (1.5, 75.0);
 /// Modes, the weakest, that are tested for being such an ambiguity.
 const NOISE_MODES: usize = 3;
-/// A member whose standard deviation is beyond this share of its distance is held loosely.
-pub const LOOSE: f64 = 0.05;
+/// A view whose standard deviation is beyond this share of its distance from its neighbours is held loosely.
+pub const LOOSE_VIEW: f64 = 0.1;
+/// A point whose standard deviation is beyond this share of its distance is.
+pub const LOOSE_POINT: f64 = 0.2;
 /// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
 const LOOSE_POINTS: f64 = 0.05;
 /// Share of the views, and of the tracks, with observations that a determined scene may leave out.
@@ -524,13 +526,13 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             let slot = &mut self.view_looseness[view as usize];
             // a hinge is as firm as its firmest component makes it
             *slot = slot.min(looseness * sigma);
-            loose_views += usize::from(looseness * sigma > LOOSE);
+            loose_views += usize::from(looseness * sigma > LOOSE_VIEW);
         }
         let mut loose_points = 0;
         for (&track, looseness) in frame.part.input_track.iter().zip(looseness::of_points(frame)) {
             let slot = &mut self.track_looseness[track as usize];
             *slot = slot.min(looseness * sigma);
-            loose_points += usize::from(looseness.is_nan() || looseness * sigma > LOOSE);
+            loose_points += usize::from(looseness.is_nan() || looseness * sigma > LOOSE_POINT);
         }
         if loose_views > 0 || loose_points as f64 > LOOSE_POINTS * frame.part.n_tracks() as f64 {
             verdict = verdict.max(Verdict::Weak);
