@@ -24,6 +24,7 @@ pub mod motion;
 pub mod orientation;
 pub mod positions;
 pub mod refinement;
+pub mod rigidity;
 pub mod sphere;
 pub mod structure;
 pub mod synthetic;

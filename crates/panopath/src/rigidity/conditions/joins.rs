@@ -1,0 +1,76 @@
+//! How much rigid parts hold each other: freedoms, constraints, and which of them hang together.
+
+use super::blocks::blocks;
+use super::graph::{Edge, Lists, Sets, grouped};
+
+/// Freedoms that a model counts.
+#[derive(Clone, Copy)]
+pub(super) struct Freedoms {
+    d: usize,
+    turns: usize,
+}
+
+impl Freedoms {
+    pub(super) fn new(d: usize, free_orientation: bool) -> Self {
+        Self { d, turns: if free_orientation { d * (d - 1) / 2 } else { 0 } }
+    }
+
+    /// Of a rigid part: shifts, scale, turns.
+    pub(super) fn part(&self) -> usize {
+        self.d + 1 + self.turns
+    }
+
+    pub(super) fn member(&self, is_view: bool) -> usize {
+        self.d + if is_view { self.turns } else { 0 }
+    }
+
+    /// Equations of one observation.
+    pub(super) fn ray(&self) -> usize {
+        self.d - 1
+    }
+}
+
+/// What holds rigid parts together: a member that they share, or rays and the members of no part between them.
+pub(super) struct Link {
+    /// Nodes to name.
+    pub nodes: Vec<usize>,
+    /// Parts that it holds, ascending.
+    pub parts: Vec<usize>,
+    /// Equations beyond what its own members take up.
+    pub constraints: usize,
+    pub is_hinge: bool,
+}
+
+/// Parts and links that hang together.
+pub(super) struct Join {
+    pub parts: Vec<usize>,
+    pub links: Vec<usize>,
+    pub constraints: usize,
+}
+
+/// Splits what hangs together wherever it does so at a single part only, which itself is rigid.
+pub(super) fn joins(n_parts: usize, links: &[Link]) -> Vec<Join> {
+    let edges: Vec<Edge> = links
+        .iter()
+        .enumerate()
+        .flat_map(|(k, link)| link.parts.iter().map(move |&part| (part as u32, (n_parts + k) as u32)))
+        .collect();
+    let n_nodes = n_parts + links.len();
+    let mut together = Sets::new(links.len());
+    for block in blocks(n_nodes, &edges, &Lists::new(n_nodes, &edges, |_| true)) {
+        for pair in block.windows(2) {
+            together.unite(edges[pair[0]].1 as usize - n_parts, edges[pair[1]].1 as usize - n_parts);
+        }
+    }
+    let groups = grouped(0..links.len(), |k| together.find(k));
+    groups
+        .into_iter()
+        .map(|members| {
+            let mut parts: Vec<usize> = members.iter().flat_map(|&k| links[k].parts.iter().copied()).collect();
+            parts.sort_unstable();
+            parts.dedup();
+            let constraints = members.iter().map(|&k| links[k].constraints).sum();
+            Join { parts, links: members, constraints }
+        })
+        .collect()
+}

@@ -1,0 +1,235 @@
+//! Single members that hang loose: held by one ray, or by rays that all lie on one line.
+
+use std::collections::VecDeque;
+
+use super::graph::Graph;
+use super::shapes::Flat;
+use super::{Cause, CauseKind, EXACT, count_of};
+use crate::geometry::{Vector, dot, norm, normalized, scale, sub};
+
+/// Members that are loose by themselves.
+pub(super) struct Loose {
+    /// Held by too few rays to hold anything in turn: removed, one after the other.
+    pub hanging: Vec<bool>,
+    /// Sees along one line only. It still ties others to that line.
+    pub sliding: Vec<bool>,
+    /// Observations that remain without those that hang.
+    pub live: Vec<bool>,
+}
+
+/// Neighbours whose offsets across the ray are below this share of their spread are on one line with the member; others see
+/// it from beside, and it is too far to tell the directions apart.
+const ALONG: f64 = 0.01;
+
+impl Loose {
+    /// `rays` is how many a view needs at least (two, or three where it may turn), `skip` the parts that are explained.
+    pub(super) fn find<const D: usize>(
+        graph: &Graph<'_, D>,
+        component: &[i32],
+        free_orientation: bool,
+        skip: impl Fn(usize) -> bool,
+        tolerance: f64,
+    ) -> (Self, Vec<Cause>) {
+        let n = graph.n_nodes;
+        let mut loose = Self { hanging: vec![false; n], sliding: vec![false; n], live: graph.counts.clone() };
+        let mut causes = loose.peel(graph, if free_orientation { 3 } else { 2 }, &skip);
+        causes.extend(loose.slide(graph, component, free_orientation, &skip, tolerance));
+        (loose, causes)
+    }
+
+    /// Edges that are left at a node.
+    pub(super) fn edges_at<'a, const D: usize>(
+        &'a self,
+        graph: &'a Graph<'_, D>,
+        node: usize,
+    ) -> impl Iterator<Item = u32> + 'a {
+        graph.at.of(node).iter().copied().filter(|&e| self.live[e as usize])
+    }
+
+    /// Takes away what too few rays hold, until nothing more falls off. A last segment stays: a view and a point that see each
+    /// other have no freedom but the gauge.
+    fn peel<const D: usize>(
+        &mut self,
+        graph: &Graph<'_, D>,
+        rays_of_view: usize,
+        skip: &impl Fn(usize) -> bool,
+    ) -> Vec<Cause> {
+        let needed = |node: usize| if graph.is_view(node) { rays_of_view } else { 2 };
+        let mut degree: Vec<usize> = (0..graph.n_nodes).map(|node| graph.at.of(node).len()).collect();
+        // tracks before views: a view whose points hang on it alone is held by what remains
+        let mut queue: VecDeque<usize> =
+            (0..graph.n_nodes).rev().filter(|&node| (1..needed(node)).contains(&degree[node]) && !skip(node)).collect();
+        let (mut hidden, mut short) = (Vec::new(), Vec::new());
+        while let Some(node) = queue.pop_front() {
+            if self.hanging[node] || degree[node] == 0 {
+                continue;
+            }
+            let rays: Vec<u32> = self.edges_at(graph, node).collect();
+            if rays.iter().all(|&e| degree[graph.other_end(e, node)] == 1) {
+                continue;
+            }
+            self.hanging[node] = true;
+            if rays.len() == 1 { &mut hidden } else { &mut short }.push(node);
+            for e in rays {
+                self.live[e as usize] = false;
+                let other = graph.other_end(e, node);
+                degree[other] -= 1;
+                if degree[other] > 0 && degree[other] < needed(other) {
+                    queue.push_back(other);
+                }
+            }
+            degree[node] = 0;
+        }
+        let mut causes = Vec::new();
+        if !hidden.is_empty() {
+            let mut cause = Cause::new(CauseKind::HiddenPoint, "");
+            (cause.views, cause.tracks) = graph.split(hidden);
+            cause.detail = one_ray_words(cause.views.len(), cause.tracks.len());
+            causes.push(cause);
+        }
+        if !short.is_empty() {
+            let mut cause = Cause::new(CauseKind::TooFewEquations, "");
+            (cause.views, cause.tracks) = graph.split(short);
+            cause.detail = format!("{} of two points, orientation unknown", count_of(cause.views.len(), "view"));
+            causes.push(cause);
+        }
+        causes
+    }
+
+    /// Finds what sees along one line only, among members no two of whose rays are known to be rigid to each other.
+    fn slide<const D: usize>(
+        &mut self,
+        graph: &Graph<'_, D>,
+        component: &[i32],
+        free_orientation: bool,
+        skip: &impl Fn(usize) -> bool,
+        tolerance: f64,
+    ) -> Vec<Cause> {
+        let mut kinds: [Vec<(usize, Ray)>; 4] = [const { Vec::new() }; 4];
+        let mut circles = Vec::new();
+        for node in (0..graph.n_nodes).filter(|&node| !self.hanging[node] && !skip(node)) {
+            let rays: Vec<u32> = self.edges_at(graph, node).collect();
+            if rays.len() < 2 || has_two_alike(&rays, component) {
+                continue;
+            }
+            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
+            if let Some(ray) = common_ray(graph.position(node), &ends, tolerance) {
+                self.sliding[node] = true;
+                kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
+            } else if D == 2 && free_orientation && graph.is_view(node) {
+                if let Some(cause) = danger_circle(graph, node, &ends, tolerance) {
+                    self.sliding[node] = true;
+                    circles.push(cause);
+                }
+            }
+        }
+        let named = [
+            (CauseKind::HiddenPoint, "point", "seen in one direction only"),
+            (CauseKind::CameraCollinear, "point", ""),
+            (CauseKind::HiddenPoint, "view", "that see in one direction only"),
+            (CauseKind::PointCollinear, "view", ""),
+        ];
+        let causes = kinds.iter().zip(named).filter(|(members, _)| !members.is_empty());
+        let mut causes: Vec<Cause> = causes
+            .map(|(members, (kind, what, words))| self.sliding_cause(graph, members, kind, what, words))
+            .collect();
+        causes.extend(circles);
+        causes
+    }
+
+    fn sliding_cause<const D: usize>(
+        &self,
+        graph: &Graph<'_, D>,
+        members: &[(usize, Ray)],
+        kind: CauseKind,
+        what: &str,
+        words: &str,
+    ) -> Cause {
+        let mut cause = Cause::new(kind, [&count_of(members.len(), what), words].join(" ").trim_end());
+        let mut nodes: Vec<usize> = members.iter().map(|&(node, _)| node).collect();
+        let largest = members.iter().map(|(_, ray)| ray.misfit).fold(0.0, f64::max);
+        cause.is_exact = largest <= EXACT;
+        if kind != CauseKind::HiddenPoint {
+            for &(node, _) in members {
+                nodes.extend(self.edges_at(graph, node).map(|e| graph.other_end(e, node)));
+            }
+            let places: Vec<Vector<D>> = nodes.iter().map(|&node| *graph.position(node)).collect();
+            // members of several lines have none in common
+            let line = Flat::fit(&places).filter(|line| line.misfit(1) <= largest.max(EXACT));
+            cause.shape = line.map_or_else(Vec::new, |line| line.line());
+        }
+        (cause.views, cause.tracks) = graph.split(nodes);
+        cause
+    }
+}
+
+fn one_ray_words(n_views: usize, n_tracks: usize) -> String {
+    let tracks = format!("{} of one ray", count_of(n_tracks, "point"));
+    let views = format!("{} of one ray", count_of(n_views, "view"));
+    match (n_views, n_tracks) {
+        (0, _) => tracks,
+        (_, 0) => views,
+        _ => format!("{tracks}, {views}"),
+    }
+}
+
+/// Are two of these observations in one rigid component?
+fn has_two_alike(rays: &[u32], component: &[i32]) -> bool {
+    let mut of_rays: Vec<i32> = rays.iter().map(|&e| component[e as usize]).filter(|&c| c >= 0).collect();
+    of_rays.sort_unstable();
+    of_rays.windows(2).any(|pair| pair[0] == pair[1])
+}
+
+/// The line of a member and all it sees.
+struct Ray {
+    /// Whether what it sees lies along the line, rather than at one place or too far off.
+    is_line: bool,
+    /// Farthest end from the line, relative to the length of the longest ray.
+    misfit: f64,
+}
+
+/// `None` where the rays from `x` to `ends` differ in direction (sign aside).
+fn common_ray<const D: usize>(x: &Vector<D>, ends: &[Vector<D>], tolerance: f64) -> Option<Ray> {
+    let longest =
+        ends.iter().map(|end| sub(end, x)).fold([0.0; D], |a, b| if dot(&b, &b) > dot(&a, &a) { b } else { a });
+    let (length, along) = (norm(&longest), normalized(&longest));
+    let across = |v: &Vector<D>| norm(&sub(v, &scale(dot(v, &along), &along)));
+    let off = ends.iter().map(|end| across(&sub(end, x))).fold(0.0, f64::max);
+    if off.is_nan() || off > tolerance * length {
+        return None;
+    }
+    let spread = ends.iter().map(|end| sub(end, &ends[0]));
+    let (reach, beside) = spread.fold((0.0f64, 0.0f64), |(r, b), v| (r.max(norm(&v)), b.max(across(&v))));
+    let is_line = reach > EXACT * length && beside <= ALONG * reach;
+    Some(Ray { is_line, misfit: off / length })
+}
+
+/// A view of unknown heading on one circle with all its points: it moves on the circle and turns, and sees the same angles.
+fn danger_circle<const D: usize>(
+    graph: &Graph<'_, D>,
+    view: usize,
+    ends: &[Vector<D>],
+    tolerance: f64,
+) -> Option<Cause> {
+    let x = graph.position(view);
+    // circles through the view are lines after an inversion about it
+    let inverted: Vec<[f64; 2]> = ends
+        .iter()
+        .map(|end| {
+            let v = sub(end, x);
+            let squared = dot(&v, &v);
+            [v[0] / squared, v[1] / squared]
+        })
+        .collect();
+    let line = Flat::fit(&inverted).filter(|line| line.misfit(1) <= tolerance)?;
+    let mut cause = Cause::new(CauseKind::Conic, "circle");
+    (cause.views, cause.tracks) = graph.split(graph.neighbours(view).chain([view]));
+    cause.is_exact = line.misfit(1) <= EXACT;
+    // n . v / |v|^2 = h becomes h |v|^2 - n . v = 0
+    let n = [-line.axes[0][1], line.axes[0][0]];
+    let h = dot(&n, &line.center);
+    let (d, e) = (-2.0 * h * x[0] - n[0], -2.0 * h * x[1] - n[1]);
+    let f = h * (x[0] * x[0] + x[1] * x[1]) + n[0] * x[0] + n[1] * x[1];
+    cause.shape = normalized(&[h, 0.0, h, d, e, f]).to_vec();
+    Some(cause)
+}

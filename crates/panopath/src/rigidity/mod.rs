@@ -1,0 +1,3 @@
+//! What bearings determine, what they leave free, and why.
+
+pub mod conditions;
