@@ -19,6 +19,7 @@
 mod arrangement;
 mod blocks;
 mod graph;
+mod inside;
 mod joins;
 mod loose;
 mod naming;

@@ -129,25 +129,26 @@ impl<'a, const D: usize> Arrangement<'a, D> {
         if self.views.len() == 1 && self.points.len() == 1 {
             return Vec::new();
         }
-        if self.view_dimension == 0 || self.point_dimension == 0 {
+        if self.is_one_place() {
             return vec![self.one_place()];
         }
-        let mut causes = Vec::new();
-        if self.dimension > 1 {
-            causes.extend(self.shapes());
-        }
-        causes.extend(self.collinear_members());
-        causes
+        // a member that slides along a line of others ties these to it: they are no longer two cameras, or two lines
+        let collinear = self.collinear_members();
+        if collinear.is_empty() { self.shapes() } else { collinear }
+    }
+
+    fn is_one_place(&self) -> bool {
+        self.view_dimension == 0 || self.point_dimension == 0
     }
 
     /// All views at one place, or else all points.
     fn one_place(&self) -> Cause {
-        let mut cause = if self.view_dimension == 0 {
-            Cause::new(CauseKind::OneCamera, at_one_place(self.views.len(), "view"))
+        let hidden = self.point_dimension == 0 && self.views.len() > 1;
+        let (flat, mut cause) = if hidden {
+            (&self.of_points, Cause::new(CauseKind::HiddenPoint, at_one_place(self.points.len(), "point")))
         } else {
-            Cause::new(CauseKind::HiddenPoint, at_one_place(self.points.len(), "point"))
+            (&self.of_views, Cause::new(CauseKind::OneCamera, at_one_place(self.views.len(), "view")))
         };
-        let flat = if self.view_dimension == 0 { &self.of_views } else { &self.of_points };
         cause.is_exact = flat.radius() <= EXACT * self.all.radius();
         self.with_all_members(cause)
     }
@@ -185,11 +186,11 @@ impl<'a, const D: usize> Arrangement<'a, D> {
     /// The shape that all members have in common and that leaves them flexible, whoever sees whom among them: none in space,
     /// one in the plane, but for two views and two points, which are both.
     pub(super) fn shapes(&self) -> Vec<Cause> {
+        if self.is_one_place() {
+            return vec![self.one_place()];
+        }
         if !self.is_planar() {
             return Vec::new();
-        }
-        if self.view_dimension == 0 || self.point_dimension == 0 {
-            return if self.views.len() + self.points.len() > 2 { vec![self.one_place()] } else { Vec::new() };
         }
         let (two_views, two_points) = (self.view_places() == 2, self.point_places() == 2);
         if D == 3 && two_views && two_points {

@@ -1,4 +1,4 @@
-//! How much rigid parts hold each other: freedoms, constraints, and which of them hang together.
+//! How much rigid bodies hold each other: freedoms, constraints, and which of them hang together.
 
 use super::blocks::blocks;
 use super::graph::{Edge, Lists, Sets, grouped};
@@ -15,8 +15,8 @@ impl Freedoms {
         Self { d, turns: if free_orientation { d * (d - 1) / 2 } else { 0 } }
     }
 
-    /// Of a rigid part: shifts, scale, turns.
-    pub(super) fn part(&self) -> usize {
+    /// Of a rigid body: shifts, scale, turns.
+    pub(super) fn body(&self) -> usize {
         self.d + 1 + self.turns
     }
 
@@ -30,12 +30,12 @@ impl Freedoms {
     }
 }
 
-/// What holds rigid parts together: a member that they share, or rays and the members of no part between them.
+/// What holds rigid bodies together: a member that they share, or rays and the members of no body between them.
 pub(super) struct Link {
     /// Nodes to name.
     pub nodes: Vec<usize>,
     /// Parts that it holds, ascending.
-    pub parts: Vec<usize>,
+    pub bodies: Vec<usize>,
     /// Equations beyond what its own members take up.
     pub constraints: usize,
     pub is_hinge: bool,
@@ -43,34 +43,34 @@ pub(super) struct Link {
 
 /// Parts and links that hang together.
 pub(super) struct Join {
-    pub parts: Vec<usize>,
+    pub bodies: Vec<usize>,
     pub links: Vec<usize>,
     pub constraints: usize,
 }
 
-/// Splits what hangs together wherever it does so at a single part only, which itself is rigid.
-pub(super) fn joins(n_parts: usize, links: &[Link]) -> Vec<Join> {
+/// Splits what hangs together wherever it does so at a single body only, which itself is rigid.
+pub(super) fn joins(n_bodies: usize, links: &[Link]) -> Vec<Join> {
     let edges: Vec<Edge> = links
         .iter()
         .enumerate()
-        .flat_map(|(k, link)| link.parts.iter().map(move |&part| (part as u32, (n_parts + k) as u32)))
+        .flat_map(|(k, link)| link.bodies.iter().map(move |&body| (body as u32, (n_bodies + k) as u32)))
         .collect();
-    let n_nodes = n_parts + links.len();
+    let n_nodes = n_bodies + links.len();
     let mut together = Sets::new(links.len());
     for block in blocks(n_nodes, &edges, &Lists::new(n_nodes, &edges, |_| true)) {
         for pair in block.windows(2) {
-            together.unite(edges[pair[0]].1 as usize - n_parts, edges[pair[1]].1 as usize - n_parts);
+            together.unite(edges[pair[0]].1 as usize - n_bodies, edges[pair[1]].1 as usize - n_bodies);
         }
     }
     let groups = grouped(0..links.len(), |k| together.find(k));
     groups
         .into_iter()
         .map(|members| {
-            let mut parts: Vec<usize> = members.iter().flat_map(|&k| links[k].parts.iter().copied()).collect();
-            parts.sort_unstable();
-            parts.dedup();
+            let mut bodies: Vec<usize> = members.iter().flat_map(|&k| links[k].bodies.iter().copied()).collect();
+            bodies.sort_unstable();
+            bodies.dedup();
             let constraints = members.iter().map(|&k| links[k].constraints).sum();
-            Join { parts, links: members, constraints }
+            Join { bodies, links: members, constraints }
         })
         .collect()
 }

@@ -109,11 +109,12 @@ impl Loose {
         let mut circles = Vec::new();
         for node in (0..graph.n_nodes).filter(|&node| !self.hanging[node] && !skip(node)) {
             let rays: Vec<u32> = self.edges_at(graph, node).collect();
-            if rays.len() < 2 || has_two_alike(&rays, component) {
+            let x = graph.position(node);
+            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
+            if rays.len() < 2 || is_held(&rays, &ends, component, tolerance, x) {
                 continue;
             }
-            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
-            if let Some(ray) = common_ray(graph.position(node), &ends, tolerance) {
+            if let Some(ray) = common_ray(x, &ends, tolerance) {
                 self.sliding[node] = true;
                 kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
             } else if D == 2 && free_orientation && graph.is_view(node) {
@@ -173,11 +174,12 @@ fn one_ray_words(n_views: usize, n_tracks: usize) -> String {
     }
 }
 
-/// Are two of these observations in one rigid component?
-fn has_two_alike(rays: &[u32], component: &[i32]) -> bool {
-    let mut of_rays: Vec<i32> = rays.iter().map(|&e| component[e as usize]).filter(|&c| c >= 0).collect();
+/// Are observations of two places in one rigid component? `ends` are what the rays lead to.
+fn is_held<const D: usize>(rays: &[u32], ends: &[Vector<D>], component: &[i32], tolerance: f64, x: &Vector<D>) -> bool {
+    let mut of_rays: Vec<(i32, usize)> = rays.iter().enumerate().map(|(k, &e)| (component[e as usize], k)).collect();
     of_rays.sort_unstable();
-    of_rays.windows(2).any(|pair| pair[0] == pair[1])
+    let apart = |a: usize, b: usize| norm(&sub(&ends[a], &ends[b])) > tolerance * norm(&sub(&ends[a], x));
+    of_rays.chunk_by(|a, b| a.0 == b.0).any(|alike| alike[0].0 >= 0 && alike.iter().any(|&(_, k)| apart(alike[0].1, k)))
 }
 
 /// The line of a member and all it sees.

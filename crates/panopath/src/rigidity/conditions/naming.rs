@@ -6,15 +6,14 @@
 use super::arrangement::Arrangement;
 use super::blocks::blocks;
 use super::graph::{Graph, Lists, Sets, grouped};
-use super::joins::{Freedoms, Join, Link, joins};
+use super::inside::Inside;
+use super::joins::Freedoms;
 use super::loose::Loose;
 use super::{Cause, CauseKind, Flexibility, Sightings, count_of};
 use crate::geometry::{Vector, norm, sub};
 
 /// More causes of one kind than this are told as one.
 const MOST_OF_A_KIND: usize = 32;
-/// More shared members than this are counted, not named.
-const MOST_NAMES: usize = 4;
 
 /// Names the causes of a flexibility, each with its members: the most specific name for each part of the scene.
 ///
@@ -50,12 +49,14 @@ struct Parts {
     is_explained: Vec<bool>,
 }
 
-struct Naming<'a, const D: usize> {
-    graph: Graph<'a, D>,
-    component: &'a [i32],
+/// A scene, what was found of it, and how to speak of it.
+pub(super) struct Naming<'a, const D: usize> {
+    pub graph: Graph<'a, D>,
+    /// Rigid component of each observation, -1 where it is alone.
+    pub component: &'a [i32],
     /// (node, component), sorted: which components each node is a member of.
     membership: Vec<(u32, u32)>,
-    freedoms: Freedoms,
+    pub freedoms: Freedoms,
     free_orientation: bool,
     tolerance: f64,
 }
@@ -80,12 +81,12 @@ impl<'a, const D: usize> Naming<'a, D> {
         }
     }
 
-    fn components_of(&self, node: usize) -> impl Iterator<Item = u32> {
+    pub(super) fn components_of(&self, node: usize) -> impl Iterator<Item = u32> {
         let start = self.membership.partition_point(|&(other, _)| (other as usize) < node);
         self.membership[start..].iter().take_while(move |(other, _)| *other as usize == node).map(|&(_, c)| c)
     }
 
-    fn nodes_of(&self, edges: impl IntoIterator<Item = usize>) -> Vec<usize> {
+    pub(super) fn nodes_of(&self, edges: impl IntoIterator<Item = usize>) -> Vec<usize> {
         let mut nodes: Vec<usize> =
             edges.into_iter().flat_map(|e| [self.graph.edges[e].0 as usize, self.graph.edges[e].1 as usize]).collect();
         nodes.sort_unstable();
@@ -94,14 +95,14 @@ impl<'a, const D: usize> Naming<'a, D> {
     }
 
     /// Components of these observations, ascending.
-    fn components_on(&self, edges: impl IntoIterator<Item = usize>) -> Vec<u32> {
+    pub(super) fn components_on(&self, edges: impl IntoIterator<Item = usize>) -> Vec<u32> {
         let mut found: Vec<u32> = edges.into_iter().filter_map(|e| u32::try_from(self.component[e]).ok()).collect();
         found.sort_unstable();
         found.dedup();
         found
     }
 
-    fn cause_of(&self, kind: CauseKind, detail: impl Into<String>, nodes: Vec<usize>) -> Cause {
+    pub(super) fn cause_of(&self, kind: CauseKind, detail: impl Into<String>, nodes: Vec<usize>) -> Cause {
         let mut cause = Cause::new(kind, detail);
         (cause.views, cause.tracks) = self.graph.split(nodes);
         cause
@@ -161,16 +162,17 @@ impl<'a, const D: usize> Naming<'a, D> {
         if pair || self.are_at_one_place(nodes, n_views) { self.shapes_of(nodes) } else { Vec::new() }
     }
 
+    /// Are the views within the tolerance of each other, as the nearest point sees them? Far ones are no measure.
     fn are_at_one_place(&self, nodes: &[usize], n_views: usize) -> bool {
         let first = self.graph.position(nodes[0]);
-        let far = |nodes: &[usize]| {
-            nodes.iter().map(|&node| norm(&sub(self.graph.position(node), first))).fold(0.0, f64::max)
-        };
-        far(&nodes[..n_views]) <= self.tolerance * far(nodes)
+        let distance = |&node: &usize| norm(&sub(self.graph.position(node), first));
+        let spread = nodes[..n_views].iter().map(distance).fold(0.0, f64::max);
+        let nearest = nodes[n_views..].iter().map(distance).filter(|&r| r > 0.0).fold(f64::INFINITY, f64::min);
+        spread <= self.tolerance * nearest
     }
 
     /// The special shape that all these members lie on.
-    fn shapes_of(&self, nodes: &[usize]) -> Vec<Cause> {
+    pub(super) fn shapes_of(&self, nodes: &[usize]) -> Vec<Cause> {
         let (views, tracks) = self.graph.split(nodes.iter().copied());
         let place = |node: usize| *self.graph.position(node);
         let centers: Vec<Vector<D>> = views.iter().map(|&view| place(view as usize)).collect();
@@ -285,15 +287,15 @@ impl<'a, const D: usize> Naming<'a, D> {
         causes
     }
 
-    fn constraint_words(&self, constraints: usize, n_parts: usize) -> String {
-        let needed = (n_parts - 1) * self.freedoms.part();
+    pub(super) fn constraint_words(&self, constraints: usize, n_parts: usize) -> String {
+        let needed = (n_parts - 1) * self.freedoms.body();
         let among = if n_parts > 2 { format!(" among {n_parts} parts") } else { String::new() };
         let special = if constraints >= needed { ", not independent" } else { "" };
         format!("{constraints} of {needed} constraints{among}{special}")
     }
 
     /// "shares only view 10", "shares only tracks 3, 4".
-    fn shares_only(&self, nodes: &[usize]) -> String {
+    pub(super) fn shares_only(&self, nodes: &[usize]) -> String {
         let (views, tracks) = self.graph.split(nodes.iter().copied());
         let words = |what: &str, ids: &[u32]| {
             let names: Vec<String> = ids.iter().map(u32::to_string).collect();
@@ -329,164 +331,6 @@ impl<'a, const D: usize> Naming<'a, D> {
             causes.push(cause);
         }
         causes
-    }
-}
-
-/// Rigid parts of a block, and clusters: observations of no part that hang together through members of no part.
-struct Inside<'a, const D: usize> {
-    naming: &'a Naming<'a, D>,
-    loose: &'a Loose,
-    /// Components of the block. Further parts are clusters that a shape explains.
-    components: Vec<u32>,
-    n_parts: usize,
-    /// (node, part), sorted.
-    membership: Vec<(usize, usize)>,
-    clusters: Vec<Vec<usize>>,
-    causes: Vec<Cause>,
-}
-
-impl<'a, const D: usize> Inside<'a, D> {
-    fn new(naming: &'a Naming<'a, D>, block: &[usize], loose: &'a Loose) -> Self {
-        let components = naming.components_on(block.iter().copied());
-        let nodes = naming.nodes_of(block.iter().copied());
-        let mut membership = Vec::new();
-        for &node in &nodes {
-            let parts = naming.components_of(node).filter_map(|c| components.binary_search(&c).ok());
-            membership.extend(parts.map(|part| (node, part)));
-        }
-        let n_parts = components.len();
-        let mut inside =
-            Self { naming, loose, components, n_parts, membership, clusters: Vec::new(), causes: Vec::new() };
-        inside.clusters = inside.find_clusters(block, &nodes);
-        inside
-    }
-
-    fn parts_of(&self, node: usize) -> impl Iterator<Item = usize> {
-        let start = self.membership.partition_point(|&(other, _)| other < node);
-        self.membership[start..].iter().take_while(move |(other, _)| *other == node).map(|&(_, part)| part)
-    }
-
-    fn is_free(&self, node: usize) -> bool {
-        self.parts_of(node).next().is_none()
-    }
-
-    fn find_clusters(&self, block: &[usize], nodes: &[usize]) -> Vec<Vec<usize>> {
-        let alone: Vec<usize> = block.iter().copied().filter(|&e| self.naming.component[e] < 0).collect();
-        let slot = |node: usize| nodes.binary_search(&node).ok();
-        let free: Vec<bool> = nodes.iter().map(|&node| self.is_free(node)).collect();
-        let ends = |e: usize| [self.naming.graph.edges[e].0 as usize, self.naming.graph.edges[e].1 as usize];
-        // sets of free nodes, and behind them one for each observation
-        let mut sets = Sets::new(nodes.len() + alone.len());
-        for (k, &e) in alone.iter().enumerate() {
-            for slot in ends(e).into_iter().filter_map(slot).filter(|&slot| free[slot]) {
-                sets.unite(slot, nodes.len() + k);
-            }
-        }
-        let groups = grouped(0..alone.len(), |k| sets.find(nodes.len() + k));
-        groups.into_iter().map(|group| group.into_iter().map(|k| alone[k]).collect()).collect()
-    }
-
-    fn causes(mut self) -> Vec<Cause> {
-        let named: Vec<bool> = (0..self.clusters.len()).map(|k| self.name_shape(k)).collect();
-        let mut links = self.hinges();
-        for k in (0..self.clusters.len()).filter(|&k| !named[k]) {
-            links.extend(self.count(k));
-        }
-        self.weak_joins(&links);
-        self.causes
-    }
-
-    /// Is the cluster on a shape that leaves it flexible? Then it is named, and a part from now on.
-    fn name_shape(&mut self, k: usize) -> bool {
-        let cluster = &self.clusters[k];
-        let nodes = self.naming.nodes_of(cluster.iter().copied());
-        let n_views = nodes.partition_point(|&node| self.naming.graph.is_view(node));
-        let smaller = n_views.min(nodes.len() - n_views);
-        let has_circuit = cluster.len() >= nodes.len();
-        let parts = self.touched(&nodes);
-        // in space an observation of the part itself may close the circuit of two views and two points
-        let fits = if smaller == 2 { parts.len() < 2 && (has_circuit || D == 3) } else { smaller > 2 && has_circuit };
-        if !fits {
-            return false;
-        }
-        let mut found = self.naming.shapes_of(&nodes);
-        for cause in &mut found {
-            cause.components = self.component_ids(&parts);
-        }
-        if found.is_empty() {
-            return false;
-        }
-        self.causes.extend(found);
-        self.membership.extend(nodes.into_iter().map(|node| (node, self.n_parts)));
-        self.membership.sort_unstable();
-        self.n_parts += 1;
-        true
-    }
-
-    /// One part for each of these nodes that is a member of any.
-    fn touched(&self, nodes: &[usize]) -> Vec<usize> {
-        let mut parts: Vec<usize> = nodes.iter().filter_map(|&node| self.parts_of(node).next()).collect();
-        parts.sort_unstable();
-        parts.dedup();
-        parts
-    }
-
-    fn component_ids(&self, parts: &[usize]) -> Vec<u32> {
-        parts.iter().filter_map(|&part| self.components.get(part).copied()).collect()
-    }
-
-    fn hinges(&self) -> Vec<Link> {
-        let shared = self.membership.chunk_by(|a, b| a.0 == b.0).filter(|parts| parts.len() > 1);
-        shared
-            .map(|parts| {
-                let node = parts[0].0;
-                let each = self.naming.freedoms.member(self.naming.graph.is_view(node));
-                Link {
-                    nodes: vec![node],
-                    parts: parts.iter().map(|&(_, part)| part).collect(),
-                    constraints: (parts.len() - 1) * each,
-                    is_hinge: true,
-                }
-            })
-            .collect()
-    }
-
-    /// A cluster with fewer equations than unknowns is a cause, another one between parts a link.
-    fn count(&mut self, k: usize) -> Option<Link> {
-        let (naming, cluster) = (self.naming, &self.clusters[k]);
-        let nodes = naming.nodes_of(cluster.iter().copied());
-        let parts = self.touched(&nodes);
-        let freedoms_of =
-            |&node: &usize| naming.freedoms.member(naming.graph.is_view(node)) - usize::from(self.loose.sliding[node]);
-        let taken: usize = nodes.iter().filter(|&&node| self.is_free(node)).map(freedoms_of).sum();
-        let unknowns = if parts.is_empty() { taken.saturating_sub(naming.freedoms.part()) } else { taken };
-        let equations = cluster.len() * naming.freedoms.ray();
-        if equations < unknowns {
-            let detail = format!("{} for {}", count_of(equations, "equation"), count_of(unknowns, "unknown"));
-            let mut cause = naming.cause_of(CauseKind::TooFewEquations, detail, nodes);
-            cause.components = self.component_ids(&parts);
-            self.causes.push(cause);
-            return None;
-        }
-        (parts.len() > 1).then(|| Link { nodes, parts, constraints: equations - taken, is_hinge: false })
-    }
-
-    fn weak_joins(&mut self, links: &[Link]) {
-        let found = joins(self.n_parts, links);
-        let is_short = |join: &Join| join.constraints < (join.parts.len() - 1) * self.naming.freedoms.part();
-        let explained = !self.causes.is_empty() || found.iter().any(is_short);
-        for join in found.iter().filter(|join| is_short(join) || !explained) {
-            let nodes: Vec<usize> = join.links.iter().flat_map(|&k| links[k].nodes.iter().copied()).collect();
-            let only_hinges = join.parts.len() == 2 && join.links.iter().all(|&k| links[k].is_hinge);
-            let detail = if only_hinges && nodes.len() <= MOST_NAMES {
-                self.naming.shares_only(&nodes)
-            } else {
-                self.naming.constraint_words(join.constraints, join.parts.len())
-            };
-            let mut cause = self.naming.cause_of(CauseKind::WeakJoin, detail, nodes);
-            cause.components = self.component_ids(&join.parts);
-            self.causes.push(cause);
-        }
     }
 }
 
