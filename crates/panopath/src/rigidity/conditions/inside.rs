@@ -1,7 +1,7 @@
 //! What keeps a block flexible: shapes of clusters, joins of bodies, counts.
 //!
-//! A *body* is a rigid component with a member in the block. A *cluster* is what observations of no body make with each other
-//! and with members of no body.
+//! A *body* is a rigid component with observations in the block. A *cluster* is a set of observations of no body that hang
+//! together through members of no body.
 
 use super::graph::{Sets, grouped};
 use super::joins::{Join, Link, joins};
@@ -12,7 +12,7 @@ use super::{Cause, CauseKind, count_of};
 /// More shared members than this are counted, not named.
 const MOST_NAMES: usize = 4;
 
-/// Rigid bodies of a block, and clusters: observations of no body that hang together through members of no body.
+/// Bodies and clusters of one block.
 pub(super) struct Inside<'a, const D: usize> {
     naming: &'a Naming<'a, D>,
     loose: &'a Loose,
@@ -68,9 +68,14 @@ impl<'a, const D: usize> Inside<'a, D> {
     }
 
     pub(super) fn causes(mut self) -> Vec<Cause> {
-        let named: Vec<bool> = (0..self.clusters.len()).map(|k| self.name_shape(k)).collect();
+        let shaped: Vec<Option<Vec<usize>>> = (0..self.clusters.len()).map(|k| self.name_shape(k)).collect();
+        for nodes in shaped.iter().flatten() {
+            self.membership.extend(nodes.iter().map(|&node| (node, self.n_bodies)));
+            self.n_bodies += 1;
+        }
+        self.membership.sort_unstable();
         let mut links = self.hinges();
-        for k in (0..self.clusters.len()).filter(|&k| !named[k]) {
+        for k in (0..self.clusters.len()).filter(|&k| shaped[k].is_none()) {
             links.extend(self.count(k));
         }
         let found = joins(self.n_bodies, &links);
@@ -86,8 +91,8 @@ impl<'a, const D: usize> Inside<'a, D> {
         self.causes
     }
 
-    /// Is the cluster on a shape that leaves it flexible? Then it is named, and a body from now on.
-    fn name_shape(&mut self, k: usize) -> bool {
+    /// Names the shape that leaves a cluster flexible, where it is on one: its nodes are a body from then on.
+    fn name_shape(&mut self, k: usize) -> Option<Vec<usize>> {
         let cluster = &self.clusters[k];
         let nodes = self.naming.nodes_of(cluster.iter().copied());
         let n_views = nodes.partition_point(|&node| self.naming.graph.is_view(node));
@@ -97,20 +102,15 @@ impl<'a, const D: usize> Inside<'a, D> {
         // in space an observation of the body itself may close the circuit of two views and two points
         let fits = if smaller == 2 { bodies.len() < 2 && (has_circuit || D == 3) } else { smaller > 2 && has_circuit };
         if !fits {
-            return false;
+            return None;
         }
         let mut found = self.naming.shapes_of(&nodes);
         for cause in &mut found {
             cause.components = self.component_ids(&bodies);
         }
-        if found.is_empty() {
-            return false;
-        }
+        let is_named = !found.is_empty();
         self.causes.extend(found);
-        self.membership.extend(nodes.into_iter().map(|node| (node, self.n_bodies)));
-        self.membership.sort_unstable();
-        self.n_bodies += 1;
-        true
+        is_named.then_some(nodes)
     }
 
     /// One body for each of these nodes that is a member of any.
@@ -160,8 +160,8 @@ impl<'a, const D: usize> Inside<'a, D> {
         (bodies.len() > 1).then(|| Link { nodes, bodies, constraints: equations - taken, is_hinge: false })
     }
 
-    /// The count over the whole block, its rigid bodies taken to pieces: a body may be rigid by the grace of special positions
-    /// only, and then makes up for what others lack.
+    /// The count over the whole block, its bodies taken to pieces: by a special position a body may be rigid with fewer
+    /// equations than it needs, as part of a flexible whole.
     fn count_all(&self) -> Option<Cause> {
         let naming = self.naming;
         let nodes = naming.nodes_of(self.block.iter().copied());
@@ -191,4 +191,8 @@ impl<'a, const D: usize> Inside<'a, D> {
             self.causes.push(cause);
         }
     }
+}
+
+fn equation_words(equations: usize, unknowns: usize) -> String {
+    format!("{} for {}", count_of(equations, "equation"), count_of(unknowns, "unknown"))
 }

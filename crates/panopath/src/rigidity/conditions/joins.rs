@@ -34,14 +34,14 @@ impl Freedoms {
 pub(super) struct Link {
     /// Nodes to name.
     pub nodes: Vec<usize>,
-    /// Parts that it holds, ascending.
+    /// Bodies that it holds, ascending.
     pub bodies: Vec<usize>,
     /// Equations beyond what its own members take up.
     pub constraints: usize,
     pub is_hinge: bool,
 }
 
-/// Parts and links that hang together.
+/// Bodies and links that hang together.
 pub(super) struct Join {
     pub bodies: Vec<usize>,
     pub links: Vec<usize>,
