@@ -110,17 +110,17 @@ impl Loose {
         for node in (0..graph.n_nodes).filter(|&node| !self.hanging[node] && !skip(node)) {
             let rays: Vec<u32> = self.edges_at(graph, node).collect();
             let x = graph.position(node);
-            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
-            if rays.len() < 2 || is_held(&rays, &ends, component, tolerance, x) {
+            if rays.len() < 2 || is_held(graph, node, &rays, component, tolerance) {
                 continue;
             }
+            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
             if let Some(ray) = common_ray(x, &ends, tolerance) {
                 self.sliding[node] = true;
                 kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
             } else if D == 2 && free_orientation && graph.is_view(node) {
                 if let Some(cause) = danger_circle(graph, node, &ends, tolerance) {
                     self.sliding[node] = true;
-                    circles.push(cause);
+                    join_circle(&mut circles, cause);
                 }
             }
         }
@@ -174,12 +174,20 @@ fn one_ray_words(n_views: usize, n_tracks: usize) -> String {
     }
 }
 
-/// Are observations of two places in one rigid component? `ends` are what the rays lead to.
-fn is_held<const D: usize>(rays: &[u32], ends: &[Vector<D>], component: &[i32], tolerance: f64, x: &Vector<D>) -> bool {
-    let mut of_rays: Vec<(i32, usize)> = rays.iter().enumerate().map(|(k, &e)| (component[e as usize], k)).collect();
-    of_rays.sort_unstable();
-    let apart = |a: usize, b: usize| norm(&sub(&ends[a], &ends[b])) > tolerance * norm(&sub(&ends[a], x));
-    of_rays.chunk_by(|a, b| a.0 == b.0).any(|alike| alike[0].0 >= 0 && alike.iter().any(|&(_, k)| apart(alike[0].1, k)))
+/// Are observations of two places in one rigid component?
+fn is_held<const D: usize>(graph: &Graph<'_, D>, node: usize, rays: &[u32], component: &[i32], tolerance: f64) -> bool {
+    let x = graph.position(node);
+    let place = |ray: u32| graph.position(graph.other_end(ray, node));
+    let apart = |a: u32, b: u32| norm(&sub(place(a), place(b))) > tolerance * norm(&sub(place(a), x));
+    let of = |ray: u32| component[ray as usize];
+    let alike = |a: u32, b: u32| of(a) >= 0 && of(a) == of(b) && apart(a, b);
+    // most often the first ray tells already
+    if rays.iter().any(|&ray| alike(rays[0], ray)) {
+        return true;
+    }
+    let mut sorted: Vec<(i32, u32)> = rays.iter().map(|&ray| (of(ray), ray)).collect();
+    sorted.sort_unstable();
+    sorted.chunk_by(|a, b| a.0 == b.0).any(|group| group.iter().any(|&(_, ray)| alike(group[0].1, ray)))
 }
 
 /// The line of a member and all it sees.
@@ -232,6 +240,22 @@ fn danger_circle<const D: usize>(
     let h = dot(&n, &line.center);
     let (d, e) = (-2.0 * h * x[0] - n[0], -2.0 * h * x[1] - n[1]);
     let f = h * (x[0] * x[0] + x[1] * x[1]) + n[0] * x[0] + n[1] * x[1];
-    cause.shape = normalized(&[h, 0.0, h, d, e, f]).to_vec();
+    cause.shape = normalized(&[h, 0.0, h, d, e, f].map(|x| x * h.signum())).to_vec();
     Some(cause)
+}
+
+/// Views on the circle of the view before them are one cause with it.
+fn join_circle(circles: &mut Vec<Cause>, cause: Cause) {
+    const SAME: f64 = 1e-6;
+    let is_same = |last: &Cause| last.shape.iter().zip(&cause.shape).all(|(a, b)| (a - b).abs() <= SAME);
+    match circles.last_mut().filter(|last| is_same(last)) {
+        Some(last) => {
+            last.views.extend(&cause.views);
+            last.tracks.extend(&cause.tracks);
+            last.tracks.sort_unstable();
+            last.tracks.dedup();
+            last.is_exact &= cause.is_exact;
+        }
+        None => circles.push(cause),
+    }
 }

@@ -86,9 +86,16 @@ impl<'a, const D: usize> Naming<'a, D> {
         self.membership[start..].iter().take_while(move |(other, _)| *other as usize == node).map(|&(_, c)| c)
     }
 
+    /// Ends of these observations, ascending.
     pub(super) fn nodes_of(&self, edges: impl IntoIterator<Item = usize>) -> Vec<usize> {
         let mut nodes: Vec<usize> =
             edges.into_iter().flat_map(|e| [self.graph.edges[e].0 as usize, self.graph.edges[e].1 as usize]).collect();
+        if nodes.len() > self.graph.n_nodes {
+            // marks are faster than sorting where most nodes are met
+            let mut is_met = vec![false; self.graph.n_nodes];
+            nodes.iter().for_each(|&node| is_met[node] = true);
+            return (0..self.graph.n_nodes).filter(|&node| is_met[node]).collect();
+        }
         nodes.sort_unstable();
         nodes.dedup();
         nodes
@@ -97,6 +104,8 @@ impl<'a, const D: usize> Naming<'a, D> {
     /// Components of these observations, ascending.
     pub(super) fn components_on(&self, edges: impl IntoIterator<Item = usize>) -> Vec<u32> {
         let mut found: Vec<u32> = edges.into_iter().filter_map(|e| u32::try_from(self.component[e]).ok()).collect();
+        // long runs of one component are the rule
+        found.dedup();
         found.sort_unstable();
         found.dedup();
         found
