@@ -483,7 +483,8 @@ fn causes_agree_with_those_of_full_visibility() {
         if let Some([views, points]) = on_grid::<D>(rng, reach) {
             let mut expected = kinds(&check_full(&views, &points));
             let mut found = kinds(&World::full(&views, &points).causes(false));
-            (expected.sort_unstable(), found.sort_unstable());
+            expected.sort_unstable();
+            found.sort_unstable();
             assert_eq!(expected, found, "{views:?} {points:?}");
         }
     }
@@ -816,7 +817,7 @@ fn a_conic_that_is_part_of_a_scene() {
         let rng = &mut generator(100 + seed);
         let mut world = World::new(on_conic(rng, 6, "hyperbola"), on_conic(rng, 7, "hyperbola"));
         for (i, j) in (0..6).flat_map(|i| (0..7).map(move |j| (i, j))) {
-            if (i + 2 * j + seed as u32) % 5 != 0 {
+            if !(i + 2 * j + seed as u32).is_multiple_of(5) {
                 world.see(i, j);
             }
         }

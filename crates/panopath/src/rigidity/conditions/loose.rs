@@ -117,11 +117,13 @@ impl Loose {
             if let Some(ray) = common_ray(x, &ends, tolerance) {
                 self.sliding[node] = true;
                 kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
-            } else if D == 2 && free_orientation && graph.is_view(node) {
-                if let Some(cause) = danger_circle(graph, node, &ends, tolerance) {
-                    self.sliding[node] = true;
-                    join_circle(&mut circles, cause);
-                }
+            } else if D == 2
+                && free_orientation
+                && graph.is_view(node)
+                && let Some(cause) = danger_circle(graph, node, &ends, tolerance)
+            {
+                self.sliding[node] = true;
+                join_circle(&mut circles, cause);
             }
         }
         let named = [

@@ -154,7 +154,7 @@ impl<'a, const D: usize> Naming<'a, D> {
         Some(cause)
     }
 
-    /// A part of one view, of one point, of views at one place; without orientations, of two views or points of a plane.
+    /// A part of one view, of one point, of views or points at one place; without orientations, of two views or points of a plane.
     fn single(&self, nodes: &[usize]) -> Vec<Cause> {
         let n_views = nodes.partition_point(|&node| self.graph.is_view(node));
         let n_tracks = nodes.len() - n_views;
@@ -167,16 +167,18 @@ impl<'a, const D: usize> Naming<'a, D> {
         if n_views == 1 {
             return vec![self.cause_of(CauseKind::OneCamera, "", nodes.to_vec())];
         }
+        let (views, tracks) = nodes.split_at(n_views);
         let pair = self.free_orientation && (n_views == 2 || n_tracks == 2);
-        if pair || self.are_at_one_place(nodes, n_views) { self.shapes_of(nodes) } else { Vec::new() }
+        let is_special = pair || self.are_at_one_place(views, tracks) || self.are_at_one_place(tracks, views);
+        if is_special { self.shapes_of(nodes) } else { Vec::new() }
     }
 
-    /// Are the views within the tolerance of each other, as the nearest point sees them? Far ones are no measure.
-    fn are_at_one_place(&self, nodes: &[usize], n_views: usize) -> bool {
-        let first = self.graph.position(nodes[0]);
+    /// Are these within the tolerance of each other, as the nearest of the others sees them? Far ones are no measure.
+    fn are_at_one_place(&self, these: &[usize], others: &[usize]) -> bool {
+        let first = self.graph.position(these[0]);
         let distance = |&node: &usize| norm(&sub(self.graph.position(node), first));
-        let spread = nodes[..n_views].iter().map(distance).fold(0.0, f64::max);
-        let nearest = nodes[n_views..].iter().map(distance).filter(|&r| r > 0.0).fold(f64::INFINITY, f64::min);
+        let spread = these.iter().map(distance).fold(0.0, f64::max);
+        let nearest = others.iter().map(distance).filter(|&r| r > 0.0).fold(f64::INFINITY, f64::min);
         spread <= self.tolerance * nearest
     }
 
