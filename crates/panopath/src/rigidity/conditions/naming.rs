@@ -287,8 +287,11 @@ impl<'a, const D: usize> Naming<'a, D> {
                 continue;
             }
             let taken: usize = between.iter().map(|&node| self.freedoms.member(self.graph.is_view(node))).sum();
-            let constraints = (group.len() * self.freedoms.ray()).saturating_sub(taken);
-            let detail = self.constraint_words(constraints, ends.len());
+            let equations = group.len() * self.freedoms.ray();
+            let mut detail = self.constraint_words(equations.saturating_sub(taken), ends.len());
+            if taken > equations {
+                detail.push_str(&format!(", {} loose in between", taken - equations));
+            }
             let mut cause = self.cause_of(CauseKind::WeakJoin, detail, nodes);
             cause.components = ends.iter().flat_map(|&node| self.components_of(node)).collect();
             cause.components.sort_unstable();
