@@ -446,6 +446,10 @@ fn tolerance_is_a_distance_relative_to_the_size() {
                 set.iter().map(|x| x.map(|x| x + far * rng.random_range(-1.0..1.0))).collect()
             };
             let (near_views, near_points) = (shaken(&views), shaken(&points));
+            // whatever the unit of length
+            let size = 10f64.powi(round % 7 - 3);
+            let [views, points, near_views, near_points] = [views, points, near_views, near_points]
+                .map(|set| set.iter().map(|x| scale(size, x)).collect::<Vec<_>>());
             let exact = full_visibility_nullity(&views, &points, TOLERANCE);
             let wide = full_visibility_nullity(&near_views, &near_points, 100.0 * far);
             // places drawn at random may be within the wide limit of each other, or of a common shape
@@ -812,17 +816,33 @@ fn what_slides_along_a_line() {
 
 #[test]
 fn a_point_too_far_for_its_views() {
-    let rng = &mut generator(18);
-    let mut world = groups::<3>(rng, 1, 6, 8);
-    world.points.push([1e12, 2e12, 3e12]);
-    world.all_see(0..6, [8]);
-    let mut found = flexibility(&groups::<3>(&mut generator(18), 1, 6, 8).sightings(), false);
-    found.component.extend([-1; 6]);
-    found.nullity += 1;
-    let causes = world.named(&found, TOLERANCE);
-    let cause = only(&causes);
-    assert_eq!((cause.kind, cause.detail.as_str()), (CauseKind::HiddenPoint, "1 point seen in one direction only"));
-    assert_eq!(cause.tracks, [8]);
+    for (distance, tolerance) in [(1e12, 1e-9), (1e8, 1e-6), (1e4, 1e-3)] {
+        let rng = &mut generator(18);
+        let mut world = groups::<3>(rng, 1, 6, 8);
+        let mut found = flexibility(&world.sightings(), false);
+        world.points.push([distance, 2.0 * distance, 3.0 * distance]);
+        world.all_see(0..6, [8]);
+        found.component.extend([-1; 6]);
+        found.nullity += 1;
+        let causes = world.named(&found, tolerance);
+        let cause = only(&causes);
+        assert_eq!((cause.kind, cause.detail.as_str()), (CauseKind::HiddenPoint, "1 point seen in one direction only"));
+        assert_eq!((cause.tracks.clone(), cause.is_exact), (vec![8], distance > 1e10));
+    }
+}
+
+#[test]
+fn a_line_of_loose_members_is_no_part_to_join() {
+    let rng = &mut generator(27);
+    let mut world = groups::<2>(rng, 1, 6, 8);
+    let at = world.centers[5];
+    let on_line = |t: f64| add(&at, &scale(t, &[0.8, 0.6]));
+    world.points.extend([on_line(1.0), on_line(-2.0)]);
+    world.centers.push(on_line(3.0));
+    world.all_see([5, 6], [8, 9]);
+    let causes = world.causes(false);
+    assert_eq!(kinds(&causes), ["camera_collinear", "point_collinear"]);
+    assert_eq!((causes[0].tracks.clone(), causes[1].views.clone()), (vec![8, 9], vec![6]));
 }
 
 #[test]
