@@ -834,15 +834,17 @@ fn a_point_too_far_for_its_views() {
 #[test]
 fn a_line_of_loose_members_is_no_part_to_join() {
     let rng = &mut generator(27);
-    let mut world = groups::<2>(rng, 1, 6, 8);
-    let at = world.centers[5];
+    // beside a hinge at view 4, which is one
+    let mut world = hinged::<2>(rng, 2);
+    let at = world.centers[2];
     let on_line = |t: f64| add(&at, &scale(t, &[0.8, 0.6]));
     world.points.extend([on_line(1.0), on_line(-2.0)]);
     world.centers.push(on_line(3.0));
-    world.all_see([5, 6], [8, 9]);
+    world.all_see([2, 10], [12, 13]);
     let causes = world.causes(false);
-    assert_eq!(kinds(&causes), ["camera_collinear", "point_collinear"]);
-    assert_eq!((causes[0].tracks.clone(), causes[1].views.clone()), (vec![8, 9], vec![6]));
+    assert_eq!(kinds(&causes), ["weak_join", "camera_collinear", "point_collinear"]);
+    let members = (causes[0].views.clone(), causes[1].tracks.clone(), causes[2].views.clone());
+    assert_eq!(members, (vec![4], vec![12, 13], vec![10]));
 }
 
 #[test]
