@@ -11,10 +11,9 @@ const TOLERANCE: f64 = 1e-9;
 
 // ---- the reference: dense null space, stretch rates -----------------------------------------------------------------
 
-/// Null vectors of the rigidity matrix: centres, then points, then (free orientation) turns of the views.
-fn null_space<const D: usize>(scene: &Sightings<'_, D>, free_orientation: bool) -> Vec<Vec<f64>> {
+/// Null vectors of the rigidity matrix: centres, then points, then turns of the views (one axis in space: the vertical).
+fn null_space<const D: usize>(scene: &Sightings<'_, D>, turns: usize) -> Vec<Vec<f64>> {
     let (m, n) = (scene.centers.len(), scene.points.len());
-    let turns = if free_orientation { D * (D - 1) / 2 } else { 0 };
     let columns = D * (m + n) + turns * m;
     let mut rows = Vec::new();
     for (&i, &j) in scene.view.iter().zip(scene.track) {
@@ -33,7 +32,8 @@ fn null_space<const D: usize>(scene: &Sightings<'_, D>, free_orientation: bool) 
                 row[D * (m + n) + turns * i + k] = if D == 2 {
                     -(t[1] * v[0] - t[0] * v[1])
                 } else {
-                    let (a, b) = ((k + 1) % 3, (k + 2) % 3);
+                    let axis = if turns == 1 { 2 } else { k };
+                    let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
                     -(v[a] * t[b] - v[b] * t[a])
                 };
             }
@@ -55,9 +55,12 @@ struct Found {
 
 /// Rigid components by stretch rates (and turns), from the dense null space.
 fn flexibility<const D: usize>(scene: &Sightings<'_, D>, free_orientation: bool) -> Found {
-    let basis = null_space(scene, free_orientation);
+    turning(scene, if free_orientation { D * (D - 1) / 2 } else { 0 })
+}
+
+fn turning<const D: usize>(scene: &Sightings<'_, D>, turns: usize) -> Found {
+    let basis = null_space(scene, turns);
     let (m, n, n_obs) = (scene.centers.len(), scene.points.len(), scene.view.len());
-    let turns = if free_orientation { D * (D - 1) / 2 } else { 0 };
     let signature: Vec<Vec<f64>> = (0..n_obs)
         .map(|o| {
             let (i, j) = (scene.view[o] as usize, scene.track[o] as usize);
@@ -110,7 +113,7 @@ fn flexibility<const D: usize>(scene: &Sightings<'_, D>, free_orientation: bool)
         gauge_freedoms: D + 1 + turns,
         component,
         components,
-        free_orientation,
+        free_orientation: turns > 0,
     }
 }
 
@@ -172,7 +175,7 @@ impl<const D: usize> World<D> {
 }
 
 fn nullity<const D: usize>(views: &[Vector<D>], points: &[Vector<D>]) -> usize {
-    null_space(&World::full(views, points).sightings(), false).len()
+    null_space(&World::full(views, points).sightings(), 0).len()
 }
 
 fn kinds(causes: &[Cause]) -> Vec<&'static str> {
@@ -723,6 +726,32 @@ fn two_view_tracks_between_two_parts() {
     check::<3>(true, 7);
     check::<2>(false, 3);
     check::<2>(true, 4);
+}
+
+#[test]
+fn headings_free_about_the_vertical() {
+    let rng = &mut generator(28);
+    for k in 1..=5u32 {
+        let mut world = groups::<3>(rng, 2, 6, 6);
+        for t in 0..k {
+            world.points.extend(generic::<3>(rng, 1));
+            world.all_see([t, 6 + t], [12 + t]);
+        }
+        // a view of two points is just determined, one of one point hangs
+        world.centers.extend(generic::<3>(rng, 2));
+        world.all_see([12], [0, 1]);
+        world.see(13, 3);
+        let found = turning(&world.sightings(), 1);
+        assert_eq!(found.gauge_freedoms, 5);
+        let causes = world.named(&found, TOLERANCE);
+        let hidden = causes.last().unwrap();
+        assert_eq!((hidden.kind, hidden.views.clone()), (CauseKind::HiddenPoint, vec![13]));
+        if k < 5 {
+            assert_eq!((causes.len(), causes[0].detail.clone()), (2, format!("{k} of 5 constraints")));
+        } else {
+            assert_eq!(causes.len(), 1);
+        }
+    }
 }
 
 #[test]

@@ -134,13 +134,13 @@ pub struct Members {
 pub struct Flexibility<'a> {
     /// Dimension of the null space.
     pub nullity: usize,
-    /// Of which any scene has this many.
+    /// Of which any scene has this many: shifts, scale, and the turns that free orientations share.
     pub gauge_freedoms: usize,
     /// Rigid component of each observation; -1 where it is alone.
     pub component_of_observation: &'a [i32],
     /// The components. A hinge is a member of more than one.
     pub components: &'a [Members],
-    /// Whether orientations are unknown.
+    /// Whether orientations are unknown, or unknown about the vertical.
     pub free_orientation: bool,
 }
 

@@ -11,8 +11,10 @@ pub(super) struct Freedoms {
 }
 
 impl Freedoms {
-    pub(super) fn new(d: usize, free_orientation: bool) -> Self {
-        Self { d, turns: if free_orientation { d * (d - 1) / 2 } else { 0 } }
+    /// Free orientations turn about as many axes as the gauge does.
+    pub(super) fn new(d: usize, free_orientation: bool, gauge_freedoms: usize) -> Self {
+        let turns = gauge_freedoms.saturating_sub(d + 1).clamp(1, d * (d - 1) / 2);
+        Self { d, turns: if free_orientation { turns } else { 0 } }
     }
 
     /// Of a rigid body: shifts, scale, turns.
@@ -22,6 +24,15 @@ impl Freedoms {
 
     pub(super) fn member(&self, is_view: bool) -> usize {
         self.d + if is_view { self.turns } else { 0 }
+    }
+
+    /// Observations that a member needs at least.
+    pub(super) fn rays(&self, is_view: bool) -> usize {
+        self.member(is_view).div_ceil(self.ray())
+    }
+
+    pub(super) fn is_turning(&self) -> bool {
+        self.turns > 0
     }
 
     /// Equations of one observation.

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use super::graph::Graph;
+use super::joins::Freedoms;
 use super::shapes::Flat;
 use super::{Cause, CauseKind, EXACT, count_of};
 use crate::geometry::{Vector, dot, norm, normalized, scale, sub};
@@ -22,18 +23,18 @@ pub(super) struct Loose {
 const ALONG: f64 = 0.01;
 
 impl Loose {
-    /// `rays` is how many a view needs at least (two, or three where it may turn), `skip` the parts that are explained.
+    /// Looks everywhere but at the nodes to `skip`, whose parts are explained.
     pub(super) fn find<const D: usize>(
         graph: &Graph<'_, D>,
         component: &[i32],
-        free_orientation: bool,
+        freedoms: Freedoms,
         skip: impl Fn(usize) -> bool,
         tolerance: f64,
     ) -> (Self, Vec<Cause>) {
         let n = graph.n_nodes;
         let mut loose = Self { hanging: vec![false; n], sliding: vec![false; n], live: graph.counts.clone() };
-        let mut causes = loose.peel(graph, if free_orientation { 3 } else { 2 }, &skip);
-        causes.extend(loose.slide(graph, component, free_orientation, &skip, tolerance));
+        let mut causes = loose.peel(graph, freedoms, &skip);
+        causes.extend(loose.slide(graph, component, freedoms, &skip, tolerance));
         (loose, causes)
     }
 
@@ -51,10 +52,10 @@ impl Loose {
     fn peel<const D: usize>(
         &mut self,
         graph: &Graph<'_, D>,
-        rays_of_view: usize,
+        freedoms: Freedoms,
         skip: &impl Fn(usize) -> bool,
     ) -> Vec<Cause> {
-        let needed = |node: usize| if graph.is_view(node) { rays_of_view } else { 2 };
+        let needed = |node: usize| freedoms.rays(graph.is_view(node));
         let mut degree: Vec<usize> = (0..graph.n_nodes).map(|node| graph.at.of(node).len()).collect();
         // tracks before views: a view whose points hang on it alone is held by what remains
         let mut queue: VecDeque<usize> =
@@ -101,7 +102,7 @@ impl Loose {
         &mut self,
         graph: &Graph<'_, D>,
         component: &[i32],
-        free_orientation: bool,
+        freedoms: Freedoms,
         skip: &impl Fn(usize) -> bool,
         tolerance: f64,
     ) -> Vec<Cause> {
@@ -118,7 +119,7 @@ impl Loose {
                 self.sliding[node] = true;
                 kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
             } else if D == 2
-                && free_orientation
+                && freedoms.is_turning()
                 && graph.is_view(node)
                 && let Some(cause) = danger_circle(graph, node, &ends, tolerance)
             {

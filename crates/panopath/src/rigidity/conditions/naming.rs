@@ -30,7 +30,7 @@ pub fn name_causes<const D: usize>(scene: &Sightings<'_, D>, found: &Flexibility
     let (loose, more) = Loose::find(
         &naming.graph,
         found.component_of_observation,
-        found.free_orientation,
+        naming.freedoms,
         |node| parts.is_explained[parts.of[node]],
         tolerance,
     );
@@ -57,7 +57,6 @@ pub(super) struct Naming<'a, const D: usize> {
     /// (node, component), sorted: which components each node is a member of.
     membership: Vec<(u32, u32)>,
     pub freedoms: Freedoms,
-    free_orientation: bool,
     tolerance: f64,
 }
 
@@ -75,8 +74,7 @@ impl<'a, const D: usize> Naming<'a, D> {
             graph,
             component: found.component_of_observation,
             membership,
-            freedoms: Freedoms::new(D, found.free_orientation),
-            free_orientation: found.free_orientation,
+            freedoms: Freedoms::new(D, found.free_orientation, found.gauge_freedoms),
             tolerance,
         }
     }
@@ -168,7 +166,7 @@ impl<'a, const D: usize> Naming<'a, D> {
             return vec![self.cause_of(CauseKind::OneCamera, "", nodes.to_vec())];
         }
         let (views, tracks) = nodes.split_at(n_views);
-        let pair = self.free_orientation && (n_views == 2 || n_tracks == 2);
+        let pair = self.freedoms.is_turning() && (n_views == 2 || n_tracks == 2);
         let is_special = pair || self.are_at_one_place(views, tracks) || self.are_at_one_place(tracks, views);
         if is_special { self.shapes_of(nodes) } else { Vec::new() }
     }
