@@ -189,7 +189,8 @@ impl<'a, const D: usize> Arrangement<'a, D> {
         if self.is_one_place() {
             return vec![self.one_place()];
         }
-        if !self.is_planar() {
+        // where all is on one line every member slides by itself
+        if !self.is_planar() || self.dimension < 2 {
             return Vec::new();
         }
         let (two_views, two_points) = (self.view_places() == 2, self.point_places() == 2);

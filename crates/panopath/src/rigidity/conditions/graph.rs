@@ -88,11 +88,6 @@ impl<'a, const D: usize> Graph<'a, D> {
         (if a as usize == node { b } else { a }) as usize
     }
 
-    /// Nodes at the other ends.
-    pub(super) fn neighbours(&self, node: usize) -> impl Iterator<Item = usize> {
-        self.at.of(node).iter().map(move |&e| self.other_end(e, node))
-    }
-
     /// Views and tracks of a set of nodes, each ascending.
     pub(super) fn split(&self, nodes: impl IntoIterator<Item = usize>) -> (Vec<u32>, Vec<u32>) {
         let mut nodes: Vec<usize> = nodes.into_iter().collect();

@@ -33,8 +33,8 @@ impl Loose {
     ) -> (Self, Vec<Cause>) {
         let n = graph.n_nodes;
         let mut loose = Self { hanging: vec![false; n], sliding: vec![false; n], live: graph.counts.clone() };
-        let mut causes = loose.peel(graph, freedoms, &skip);
-        causes.extend(loose.slide(graph, component, freedoms, &skip, tolerance));
+        let (mut causes, lined) = loose.peel(graph, freedoms, &skip, tolerance);
+        causes.extend(loose.slide(graph, component, freedoms, &skip, tolerance, lined));
         (loose, causes)
     }
 
@@ -48,19 +48,20 @@ impl Loose {
     }
 
     /// Takes away what too few rays hold, until nothing more falls off. A last segment stays: a view and a point that see each
-    /// other have no freedom but the gauge.
+    /// other have no freedom but the gauge. Views of two points in line with them are given back: they have a name of their own.
     fn peel<const D: usize>(
         &mut self,
         graph: &Graph<'_, D>,
         freedoms: Freedoms,
         skip: &impl Fn(usize) -> bool,
-    ) -> Vec<Cause> {
+        tolerance: f64,
+    ) -> (Vec<Cause>, Vec<Slider>) {
         let needed = |node: usize| freedoms.rays(graph.is_view(node));
         let mut degree: Vec<usize> = (0..graph.n_nodes).map(|node| graph.at.of(node).len()).collect();
         // tracks before views: a view whose points hang on it alone is held by what remains
         let mut queue: VecDeque<usize> =
             (0..graph.n_nodes).rev().filter(|&node| (1..needed(node)).contains(&degree[node]) && !skip(node)).collect();
-        let (mut hidden, mut short) = (Vec::new(), Vec::new());
+        let (mut hidden, mut short, mut lined) = (Vec::new(), Vec::new(), Vec::new());
         while let Some(node) = queue.pop_front() {
             if self.hanging[node] || degree[node] == 0 {
                 continue;
@@ -70,7 +71,11 @@ impl Loose {
                 continue;
             }
             self.hanging[node] = true;
-            if rays.len() == 1 { &mut hidden } else { &mut short }.push(node);
+            match Slider::find(graph, node, &rays, tolerance) {
+                Some(slider) if slider.is_line => lined.push(slider),
+                Some(_) => hidden.push(node),
+                None => short.push(node),
+            }
             for e in rays {
                 self.live[e as usize] = false;
                 let other = graph.other_end(e, node);
@@ -94,7 +99,7 @@ impl Loose {
             cause.detail = format!("{} of two points, orientation unknown", count_of(cause.views.len(), "view"));
             causes.push(cause);
         }
-        causes
+        (causes, lined)
     }
 
     /// Finds what sees along one line only, among members no two of whose rays are known to be rigid to each other.
@@ -105,23 +110,22 @@ impl Loose {
         freedoms: Freedoms,
         skip: &impl Fn(usize) -> bool,
         tolerance: f64,
+        lined: Vec<Slider>,
     ) -> Vec<Cause> {
-        let mut kinds: [Vec<(usize, Ray)>; 4] = [const { Vec::new() }; 4];
+        let mut kinds: [Vec<Slider>; 4] = [Vec::new(), Vec::new(), Vec::new(), lined];
         let mut circles = Vec::new();
         for node in (0..graph.n_nodes).filter(|&node| !self.hanging[node] && !skip(node)) {
             let rays: Vec<u32> = self.edges_at(graph, node).collect();
-            let x = graph.position(node);
             if rays.len() < 2 || is_held(graph, node, &rays, component, tolerance) {
                 continue;
             }
-            let ends: Vec<Vector<D>> = rays.iter().map(|&e| *graph.position(graph.other_end(e, node))).collect();
-            if let Some(ray) = common_ray(x, &ends, tolerance) {
+            if let Some(slider) = Slider::find(graph, node, &rays, tolerance) {
                 self.sliding[node] = true;
-                kinds[2 * usize::from(graph.is_view(node)) + usize::from(ray.is_line)].push((node, ray));
+                kinds[2 * usize::from(graph.is_view(node)) + usize::from(slider.is_line)].push(slider);
             } else if D == 2
                 && freedoms.is_turning()
                 && graph.is_view(node)
-                && let Some(cause) = danger_circle(graph, node, &ends, tolerance)
+                && let Some(cause) = danger_circle(graph, node, &rays, tolerance)
             {
                 self.sliding[node] = true;
                 join_circle(&mut circles, cause);
@@ -133,38 +137,34 @@ impl Loose {
             (CauseKind::HiddenPoint, "view", "that see in one direction only"),
             (CauseKind::PointCollinear, "view", ""),
         ];
-        let causes = kinds.iter().zip(named).filter(|(members, _)| !members.is_empty());
-        let mut causes: Vec<Cause> = causes
-            .map(|(members, (kind, what, words))| self.sliding_cause(graph, members, kind, what, words))
-            .collect();
+        let causes = kinds.iter().zip(named).filter(|(sliders, _)| !sliders.is_empty());
+        let mut causes: Vec<Cause> =
+            causes.map(|(sliders, (kind, what, words))| sliding_cause(graph, sliders, kind, what, words)).collect();
         causes.extend(circles);
         causes
     }
+}
 
-    fn sliding_cause<const D: usize>(
-        &self,
-        graph: &Graph<'_, D>,
-        members: &[(usize, Ray)],
-        kind: CauseKind,
-        what: &str,
-        words: &str,
-    ) -> Cause {
-        let mut cause = Cause::new(kind, [&count_of(members.len(), what), words].join(" ").trim_end());
-        let mut nodes: Vec<usize> = members.iter().map(|&(node, _)| node).collect();
-        let largest = members.iter().map(|(_, ray)| ray.misfit).fold(0.0, f64::max);
-        cause.is_exact = largest <= EXACT;
-        if kind != CauseKind::HiddenPoint {
-            for &(node, _) in members {
-                nodes.extend(self.edges_at(graph, node).map(|e| graph.other_end(e, node)));
-            }
-            let places: Vec<Vector<D>> = nodes.iter().map(|&node| *graph.position(node)).collect();
-            // members of several lines have none in common
-            let line = Flat::fit(&places).filter(|line| line.misfit(1) <= largest.max(EXACT));
-            cause.shape = line.map_or_else(Vec::new, |line| line.line());
-        }
-        (cause.views, cause.tracks) = graph.split(nodes);
-        cause
+fn sliding_cause<const D: usize>(
+    graph: &Graph<'_, D>,
+    sliders: &[Slider],
+    kind: CauseKind,
+    what: &str,
+    words: &str,
+) -> Cause {
+    let mut cause = Cause::new(kind, [&count_of(sliders.len(), what), words].join(" ").trim_end());
+    let mut nodes: Vec<usize> = sliders.iter().map(|slider| slider.node).collect();
+    let largest = sliders.iter().map(|slider| slider.misfit).fold(0.0, f64::max);
+    cause.is_exact = largest <= EXACT;
+    if kind != CauseKind::HiddenPoint {
+        nodes.extend(sliders.iter().flat_map(|slider| slider.ends.iter().copied()));
+        let places: Vec<Vector<D>> = nodes.iter().map(|&node| *graph.position(node)).collect();
+        // members of several lines have none in common
+        let line = Flat::fit(&places).filter(|line| line.misfit(1) <= largest.max(EXACT));
+        cause.shape = line.map_or_else(Vec::new, |line| line.line());
     }
+    (cause.views, cause.tracks) = graph.split(nodes);
+    cause
 }
 
 fn one_ray_words(n_views: usize, n_tracks: usize) -> String {
@@ -193,50 +193,54 @@ fn is_held<const D: usize>(graph: &Graph<'_, D>, node: usize, rays: &[u32], comp
     sorted.chunk_by(|a, b| a.0 == b.0).any(|group| group.iter().any(|&(_, ray)| alike(group[0].1, ray)))
 }
 
-/// The line of a member and all it sees.
-struct Ray {
-    /// Whether what it sees lies along the line, rather than at one place or too far off.
+/// A member that sees along one line only.
+struct Slider {
+    node: usize,
+    /// What it sees.
+    ends: Vec<usize>,
+    /// Whether that lies along the line, rather than at one place or too far off.
     is_line: bool,
     /// Farthest end from the line, relative to the length of the longest ray.
     misfit: f64,
 }
 
-/// `None` where the rays from `x` to `ends` differ in direction (sign aside).
-fn common_ray<const D: usize>(x: &Vector<D>, ends: &[Vector<D>], tolerance: f64) -> Option<Ray> {
-    let longest =
-        ends.iter().map(|end| sub(end, x)).fold([0.0; D], |a, b| if dot(&b, &b) > dot(&a, &a) { b } else { a });
-    let (length, along) = (norm(&longest), normalized(&longest));
-    let across = |v: &Vector<D>| norm(&sub(v, &scale(dot(v, &along), &along)));
-    let off = ends.iter().map(|end| across(&sub(end, x))).fold(0.0, f64::max);
-    if off.is_nan() || off > tolerance * length {
-        return None;
+impl Slider {
+    /// `None` where the rays differ in direction (sign aside).
+    fn find<const D: usize>(graph: &Graph<'_, D>, node: usize, rays: &[u32], tolerance: f64) -> Option<Self> {
+        let x = graph.position(node);
+        let ends: Vec<usize> = rays.iter().map(|&e| graph.other_end(e, node)).collect();
+        let from = |start: &Vector<D>| ends.iter().map(|&end| sub(graph.position(end), start)).collect::<Vec<_>>();
+        let seen = from(x);
+        let longest = seen.iter().fold([0.0; D], |a, b| if dot(b, b) > dot(&a, &a) { *b } else { a });
+        let (length, along) = (norm(&longest), normalized(&longest));
+        let across = |v: &Vector<D>| norm(&sub(v, &scale(dot(v, &along), &along)));
+        let off = seen.iter().map(across).fold(0.0, f64::max);
+        if off.is_nan() || off > tolerance * length {
+            return None;
+        }
+        let spread = from(graph.position(ends[0]));
+        let reach = spread.iter().map(norm).fold(0.0, f64::max);
+        let beside = spread.iter().map(across).fold(0.0, f64::max);
+        let is_line = reach > EXACT * length && beside <= ALONG * reach;
+        Some(Self { node, ends, is_line, misfit: off / length })
     }
-    let spread = ends.iter().map(|end| sub(end, &ends[0]));
-    let (reach, beside) = spread.fold((0.0f64, 0.0f64), |(r, b), v| (r.max(norm(&v)), b.max(across(&v))));
-    let is_line = reach > EXACT * length && beside <= ALONG * reach;
-    Some(Ray { is_line, misfit: off / length })
 }
 
 /// A view of unknown heading on one circle with all its points: it moves on the circle and turns, and sees the same angles.
-fn danger_circle<const D: usize>(
-    graph: &Graph<'_, D>,
-    view: usize,
-    ends: &[Vector<D>],
-    tolerance: f64,
-) -> Option<Cause> {
+fn danger_circle<const D: usize>(graph: &Graph<'_, D>, view: usize, rays: &[u32], tolerance: f64) -> Option<Cause> {
     let x = graph.position(view);
     // circles through the view are lines after an inversion about it
-    let inverted: Vec<[f64; 2]> = ends
+    let inverted: Vec<[f64; 2]> = rays
         .iter()
-        .map(|end| {
-            let v = sub(end, x);
+        .map(|&ray| {
+            let v = sub(graph.position(graph.other_end(ray, view)), x);
             let squared = dot(&v, &v);
             [v[0] / squared, v[1] / squared]
         })
         .collect();
     let line = Flat::fit(&inverted).filter(|line| line.misfit(1) <= tolerance)?;
     let mut cause = Cause::new(CauseKind::Conic, "circle");
-    (cause.views, cause.tracks) = graph.split(graph.neighbours(view).chain([view]));
+    (cause.views, cause.tracks) = graph.split(rays.iter().map(|&ray| graph.other_end(ray, view)).chain([view]));
     cause.is_exact = line.misfit(1) <= EXACT;
     // n . v / |v|^2 = h becomes h |v|^2 - n . v = 0
     let n = [-line.axes[0][1], line.axes[0][0]];
