@@ -129,7 +129,7 @@ class Cause:
     components: tuple[int, ...]
     #: More words: "ellipse", "3 of 4 constraints".
     detail: str
-    #: Shape for drawing. A line: point and direction, (2, d). A conic: a, b, c, d, e, f of
+    #: Shape for drawing. Lines: a point and a direction each, (2, d) or (4, d). A conic: a, b, c, d, e, f of
     #: a x^2 + b x y + c y^2 + d x + e y + f = 0, (6,). Empty where there is none.
     shape: Float
     #: Whether it holds exactly, or only within the noise.

@@ -4,6 +4,7 @@ use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyReadonlyArray1};
 use panopath::Rotation;
 use panopath::geometry::Vector;
+use panopath::rigidity::conditions::Cause;
 use panopath::rigidity::{
     Certificate, CertifyOptions, OrientationModel, ReportedMode, RigidComponent, certify as certify_structure,
 };
@@ -91,6 +92,8 @@ fn write<'py, const D: usize>(py: Python<'py>, found: Certificate<D>) -> PyResul
     dict.set_item("components", PyList::new(py, components)?)?;
     let modes = found.modes.into_iter().map(|m| mode(py, &m)).collect::<PyResult<Vec<_>>>()?;
     dict.set_item("modes", PyList::new(py, modes)?)?;
+    let causes = found.causes.into_iter().map(|c| cause(py, c)).collect::<PyResult<Vec<_>>>()?;
+    dict.set_item("causes", PyList::new(py, causes)?)?;
     dict.set_item("component_of_observation", found.component_of_observation.into_pyarray(py))?;
     dict.set_item("counts", found.counts.into_pyarray(py))?;
     dict.set_item("sigma_rad", found.sigma_rad)?;
@@ -121,6 +124,18 @@ fn mode<'py, const D: usize>(py: Python<'py>, found: &ReportedMode<D>) -> PyResu
     dict.set_item("view_displacement", rows(&found.views).into_pyarray(py))?;
     dict.set_item("track_displacement", rows(&found.points).into_pyarray(py))?;
     dict.set_item("view_turn_rad", rows(&found.turns).into_pyarray(py))?;
+    Ok(dict)
+}
+
+fn cause(py: Python<'_>, found: Cause) -> PyResult<Bound<'_, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("kind", found.kind.name())?;
+    dict.set_item("views", indices(found.views).into_pyarray(py))?;
+    dict.set_item("tracks", indices(found.tracks).into_pyarray(py))?;
+    dict.set_item("components", found.components)?;
+    dict.set_item("detail", found.detail)?;
+    dict.set_item("shape", found.shape.into_pyarray(py))?;
+    dict.set_item("is_exact", found.is_exact)?;
     Ok(dict)
 }
 

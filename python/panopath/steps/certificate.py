@@ -9,6 +9,8 @@ import numpy as np
 
 from panopath import _core
 from panopath.certificate import (
+    Cause,
+    CauseKind,
     Certificate,
     Consistency,
     Gap,
@@ -94,7 +96,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         components=components,
         hinges=_hinges(components),
         modes=tuple(_mode(plain) for plain in found["modes"]),
-        causes=(),
+        causes=tuple(_cause(plain, tracks.d) for plain in found["causes"]),
         consistency=Consistency(passed=True, reasons=(), statistics={}),
         orientation=chosen.orientation,
         sigma_rad=found["sigma_rad"],
@@ -124,6 +126,21 @@ def _component(plain: dict[str, Any]) -> RigidComponent:
 def _mode(plain: dict[str, Any]) -> Mode:
     arrays = {name: read_only(plain.pop(name)) for name in ("view_displacement", "track_displacement", "view_turn_rad")}
     return Mode(**plain, **arrays)
+
+
+def _cause(plain: dict[str, Any], d: int) -> Cause:
+    kind = CauseKind(plain["kind"])
+    # lines are a point and a direction each
+    shape = plain["shape"] if kind == CauseKind.CONIC else plain["shape"].reshape(-1, d)
+    return Cause(
+        kind=kind,
+        views=read_only(plain["views"]),
+        tracks=read_only(plain["tracks"]),
+        components=tuple(plain["components"]),
+        detail=plain["detail"],
+        shape=read_only(shape),
+        is_exact=plain["is_exact"],
+    )
 
 
 def _largest(members: list[Int], count: int) -> Int:

@@ -530,3 +530,26 @@ pub fn symmetric_eigen_of(rows: &[Vec<f64>]) -> Result<(Vec<f64>, Vec<Vec<f64>>)
     let columns = (0..n).map(|k| (0..n).map(|r| vectors[(r, k)]).collect()).collect();
     Ok(((0..n).map(|k| values[k]).collect(), columns))
 }
+
+/// Singular values of a matrix given row by row, largest first, with the right singular vector of each.
+///
+/// There are as many as columns, whatever the number of rows. `None` where the entries are not finite.
+pub fn right_singular(n_columns: usize, entries: &[f64]) -> Option<(Vec<f64>, Vec<Vec<f64>>)> {
+    if n_columns == 0 || entries.iter().any(|x| !x.is_finite()) {
+        return None;
+    }
+    let n_rows = entries.len() / n_columns;
+    // rows of zeros complete a wide matrix, so that its null space is given too
+    let matrix =
+        faer::Mat::from_fn(
+            n_rows.max(n_columns),
+            n_columns,
+            |r, c| {
+                if r < n_rows { entries[r * n_columns + c] } else { 0.0 }
+            },
+        );
+    let svd = matrix.thin_svd().ok()?;
+    let (values, v) = (svd.S(), svd.V());
+    let vectors = (0..n_columns).map(|k| (0..n_columns).map(|r| v[(r, k)]).collect()).collect();
+    Some(((0..n_columns).map(|k| values[k]).collect(), vectors))
+}

@@ -10,6 +10,8 @@
 //! themselves are left out first ([`ends`]); each connected rest is looked at in a frame of its own, and each rigid
 //! component in turn.
 
+mod causes;
+pub mod conditions;
 mod ends;
 mod frame;
 mod looseness;
@@ -27,6 +29,7 @@ use crate::tracks::Tracks;
 pub use noise::SigmaSource;
 pub use options::{CertifyError, CertifyOptions, OrientationModel};
 
+use conditions::Cause;
 use frame::Frame;
 use noise::Noise;
 use spectrum::{Analysis, Mobility, Mode, Shifting, Turning};
@@ -121,6 +124,8 @@ pub struct Certificate<const D: usize> {
     pub component_of_observation: Vec<i32>,
     /// Null modes beyond the gauge, then weak ones, weakest first; not all where there are very many.
     pub modes: Vec<ReportedMode<D>>,
+    /// Why something is not determined, or not well.
+    pub causes: Vec<Cause>,
     /// Which observations count: one for each pair of a view and a point with known positions.
     pub counts: Vec<bool>,
     /// Angular standard deviation that the verdict is for.
@@ -302,6 +307,8 @@ struct Inquiry<'a, const D: usize> {
     components: Vec<RigidComponent>,
     component_of_observation: Vec<i32>,
     modes: Vec<ReportedMode<D>>,
+    /// Components with a mode that noise moves far, or takes for an ambiguity.
+    weakened: Vec<usize>,
     view_line: Vec<Vector<D>>,
     track_line: Vec<Vector<D>>,
     view_looseness: Vec<f64>,
@@ -325,6 +332,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             first_other: f64::NAN,
             components: Vec::new(),
             modes: Vec::new(),
+            weakened: Vec::new(),
             view_line: vec![[f64::NAN; D]; n_views],
             track_line: vec![[f64::NAN; D]; n_tracks],
             view_looseness: vec![f64::NAN; n_views],
@@ -513,6 +521,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
                     || (W > D && movement > FOLLOWED_MOVEMENT && gets_weaker(analysis, modes, k, movement)?));
             if movement > self.weak_movement || near_null {
                 verdict = verdict.max(Verdict::Weak);
+                self.weakened.push(component);
                 self.report(frame, mode, movement, component, Motion::of::<W>(frame, &mode.step));
             }
         }
@@ -634,6 +643,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         for label in self.component_of_observation.iter_mut().filter(|label| **label >= 0) {
             *label = place[*label as usize];
         }
+        self.weakened = self.weakened.iter().map(|&k| place[k] as usize).collect();
         for mode in &mut self.modes {
             mode.component = mode.component.map(|c| place[c as usize] as u32);
         }
@@ -647,16 +657,18 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         } else {
             weakest
         };
-        let components = order.iter().map(|&k| self.components[k].clone()).collect();
+        self.components = order.iter().map(|&k| self.components[k].clone()).collect();
+        let causes = causes::find(&self, gauge_freedoms);
         Certificate {
             verdict,
             nullity: self.nullity,
             gauge_freedoms,
             last_null: self.last_null,
             first_other: self.first_other,
-            components,
+            components: self.components,
             component_of_observation: self.component_of_observation,
             modes: self.modes,
+            causes,
             counts: self.counts,
             sigma_rad: self.noise.sigma_rad,
             sigma_source: self.noise.source,
