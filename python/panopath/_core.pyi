@@ -83,6 +83,7 @@ def view_pairs(
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64], npt.NDArray[np.int32]]: ...
 def certify(
     observations: _Observations,
+    cam_from_world: npt.NDArray[np.float64],
     scene: _Start,
     fit: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]],
     options: Mapping[str, Any],

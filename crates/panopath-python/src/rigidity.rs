@@ -24,11 +24,12 @@ type Fit<'py> = (PyReadonlyArray1<'py, bool>, PyReadonlyArray1<'py, f64>);
 fn certify<'py>(
     py: Python<'py>,
     observations: Observations<'py>,
+    cam_from_world: Bound<'py, PyAny>,
     scene: Start<'py>,
     fit: Fit<'py>,
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let input = Input::new(observations, None);
+    let input = Input::new(observations, Some(cam_from_world));
     match input.dimension()? {
         2 => certify_in::<2, 3>(py, &input, &scene, &fit, options),
         _ => certify_in::<3, 6>(py, &input, &scene, &fit, options),

@@ -78,6 +78,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
     found = call_core(
         _core.certify,
         observations_of(tracks),
+        scene.cam_from_world,
         (scene.centers, scene.points, scene.view_component, scene.track_component),
         (scene.inlier, scene.residual_rad),
         {

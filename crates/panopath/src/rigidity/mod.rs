@@ -17,11 +17,12 @@ mod frame;
 mod looseness;
 mod noise;
 mod options;
+mod placing;
 mod spectrum;
 mod stretch;
 
 use crate::bundle::determinacy::{GaugeBasis, Motions};
-use crate::bundle::noise::precisions;
+use crate::bundle::noise::{OUTLIER_SIGMAS, SIGMA_FLOOR_RAD, precisions};
 use crate::geometry::Vector;
 use crate::structure::Structure;
 use crate::tracks::Tracks;
@@ -32,6 +33,7 @@ pub use options::{CertifyError, CertifyOptions, OrientationModel};
 use conditions::Cause;
 use frame::Frame;
 use noise::Noise;
+use placing::place_together;
 use spectrum::{Analysis, Mobility, Mode, Shifting, Turning};
 use stretch::{BodyMotion, Motion, PARALLEL};
 
@@ -198,21 +200,23 @@ pub fn certify<const D: usize, const V: usize>(
     const { assert!((D == 2 || D == 3) && V == D * (D + 1) / 2) }
     check(tracks, scene, options)?;
     let precision = precisions(tracks).map(|(_, precision)| precision);
-    let sightings = Sightings {
-        centers: &scene.centers,
-        points: &scene.points,
-        view: tracks.view(),
-        track: tracks.track(),
-        precision: precision.as_deref(),
-    };
-    let counts = observations_that_count(tracks, scene);
+    let mut counts = observations_that_count(tracks, scene);
     let noise = Noise::of(tracks, scene, &counts, options);
+    let mut placed = None;
+    if options.orientation == OrientationModel::Known {
+        // members of parts that were solved apart meet here
+        let found = place_together(tracks, scene, OUTLIER_SIGMAS * noise.sigma_rad.max(SIGMA_FLOOR_RAD));
+        counts.iter_mut().zip(&found.ties).for_each(|(counts, ties)| *counts |= ties);
+        placed = Some(found);
+    }
+    let (centers, points) = placed.as_ref().map_or((&scene.centers, &scene.points), |p| (&p.centers, &p.points));
+    let sightings =
+        Sightings { centers, points, view: tracks.view(), track: tracks.track(), precision: precision.as_deref() };
     let mut inquiry = Inquiry::new(sightings, counts, noise, options);
-    for part in parts_of(scene, &inquiry.counts, tracks) {
-        match options.orientation {
-            OrientationModel::Known => inquiry.examine::<D, Shifting>(&part)?,
-            _ => inquiry.examine::<V, Turning>(&part)?,
-        }
+    let observations: Vec<u32> = (0..tracks.len() as u32).filter(|&o| inquiry.counts[o as usize]).collect();
+    match options.orientation {
+        OrientationModel::Known => inquiry.examine::<D, Shifting>(&observations)?,
+        _ => inquiry.examine::<V, Turning>(&observations)?,
     }
     Ok(inquiry.conclude())
 }
@@ -230,6 +234,7 @@ fn check<const D: usize>(
         ("view_component", scene.view_component.len(), n_views),
         ("points", scene.points.len(), n_tracks),
         ("track_component", scene.track_component.len(), n_tracks),
+        ("cam_from_world", scene.cam_from_world.len(), n_views),
         ("inlier", inliers, n),
         ("residual_rad", residuals, n),
     ] {
@@ -278,15 +283,6 @@ fn observations_that_count<const D: usize>(tracks: &Tracks<D>, scene: &Structure
         }
     }
     counts
-}
-
-/// Observations that count, by part of the scene.
-fn parts_of<const D: usize>(scene: &Structure<D>, counts: &[bool], tracks: &Tracks<D>) -> Vec<Vec<u32>> {
-    let mut parts: std::collections::BTreeMap<i32, Vec<u32>> = std::collections::BTreeMap::new();
-    for o in (0..tracks.len()).filter(|&o| counts[o]) {
-        parts.entry(scene.view_component[tracks.view()[o] as usize]).or_default().push(o as u32);
-    }
-    parts.into_values().collect()
 }
 
 fn squared_distance<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
