@@ -18,6 +18,8 @@ from panopath.model import Float
 if TYPE_CHECKING:
     from panopath.certificate import Cause, Certificate, Hinge, Mode, RigidComponent
 
+#: A view whose standard deviation is beyond this share of its distance from its neighbours is held loosely.
+LOOSE_VIEW = 0.1
 #: Members of a list that are named before the rest is only counted.
 _MOST_NAMES = 3
 #: Rows of a list (modes, hinges, weakly held views) that are told before the rest is only counted.
@@ -155,7 +157,7 @@ def looseness_lines(certificate: Certificate, names: Names | None = None) -> lis
     called = names or Names()
     held = certificate.view_looseness
     order = np.argsort(np.where(np.isfinite(held), -held, np.inf), kind="stable")
-    weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > certificate.weak_movement]
+    weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > LOOSE_VIEW]
     told = [
         f"weakly held: {called.of_views([view])}, to {percent(held[view])} of its distance from the views around it"
         for view in weak
@@ -340,6 +342,10 @@ def _weak_join(case: _Case) -> tuple[str, str]:
 
 
 def _other(case: _Case) -> tuple[str, str]:
+    if not case.cause.is_exact:
+        if not len(case.cause.tracks):
+            return f"{case.names.of_views(case.cause.views)} may be off", "little holds them to the views around them"
+        return case.changes_shape(), "noise moves them far, or hides that they can"
     detail = _in_brackets(case.cause.detail)
     return case.changes_shape(), f"the bearings allow it, for a reason that has no name{detail}"
 

@@ -798,7 +798,8 @@ def _show_certificate(console: Console, certificate: Certificate, scene: Scene, 
         console.print(line, markup=False)
     if not verbose:
         return
-    console.print(_certified_parts(certificate))
+    if certificate.components:
+        console.print(_certified_parts(certificate))
     details = [
         *spectrum_lines(certificate),
         *hinge_lines(certificate, names),
