@@ -74,6 +74,7 @@ fn of_weak_modes<const D: usize>(inquiry: &Inquiry<'_, D>, component: usize) -> 
         let mut cause = Cause::new(CauseKind::Other, "");
         (cause.views, cause.tracks) = (found.views.clone(), found.tracks.clone());
         cause.components = vec![component as u32];
+        cause.is_exact = false;
         causes.push(cause);
     }
     causes
@@ -89,7 +90,7 @@ fn loose_members<const D: usize>(inquiry: &Inquiry<'_, D>) -> Vec<Cause> {
     let (views, tracks) = (beyond(&inquiry.view_looseness, LOOSE_VIEW), beyond(&inquiry.track_looseness, LOOSE_POINT));
     if !views.is_empty() {
         let mut cause = Cause::new(CauseKind::Other, "held by little");
-        cause.views = views;
+        (cause.views, cause.is_exact) = (views, false);
         causes.push(cause);
     }
     if !tracks.is_empty() {
@@ -99,7 +100,7 @@ fn loose_members<const D: usize>(inquiry: &Inquiry<'_, D>) -> Vec<Cause> {
             cause.views = (0..inquiry.counts.len()).filter(sees).map(|o| inquiry.scene.view[o]).collect();
             cause.views.sort_unstable();
         }
-        cause.tracks = tracks;
+        (cause.tracks, cause.is_exact) = (tracks, false);
         causes.push(cause);
     }
     causes
