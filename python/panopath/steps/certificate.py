@@ -31,8 +31,8 @@ class CertifyOptions:
 
     #: What is known of orientations: all of it, nothing, or the vertical (the third axis of the world).
     orientation: OrientationModel = "known"
-    #: Angular standard deviation of a bearing, radians, of median sigma where the tracks carry sigmas. None: that of the
-    #: tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
+    #: Angular standard deviation of a bearing, radians; of median sigma where the tracks carry sigmas. None: that of
+    #: the tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
     sigma_rad: float | None = None
     #: A movement at one standard deviation beyond this share of a component's size is weak.
     weak_movement: float = 0.05
@@ -145,7 +145,7 @@ def _cause(plain: dict[str, Any], d: int) -> Cause:
 
 
 def _largest(members: list[Int], count: int) -> Int:
-    """The first set that each index is a member of: sets come largest first."""
+    """Number the first set that each index is a member of: sets come largest first."""
     component = np.full(count, -1, dtype=np.int32)
     for number, ids in reversed(list(enumerate(members))):
         component[ids] = number
