@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod convert;
+mod consistency;
 mod correspondence;
 mod headings;
 mod motion;
@@ -18,6 +19,7 @@ mod view_graph;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
+    consistency::register(module)?;
     correspondence::register(module)?;
     headings::register(module)?;
     motion::register(module)?;

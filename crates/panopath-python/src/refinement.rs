@@ -16,7 +16,7 @@ use pyo3::types::PyDict;
 use crate::convert::{FromHeadingOrMatrix, Input, Observations, choose, fill, on_threads, value_error, vectors};
 
 /// Where a refinement starts: centres, points, and the component of each view and track.
-type Start<'py> =
+pub type Start<'py> =
     (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray1<'py, i32>);
 
 /// Refines orientations, centres and points (`panopath.steps.refine` describes the arguments).

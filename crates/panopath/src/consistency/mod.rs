@@ -1,0 +1,250 @@
+//! Does a scene that a solver was content with look like a right one?
+//!
+//! A scene can be wrong though it converged: two places that look alike were taken for one, a run of views was turned, a
+//! part was mirrored. It then still shows in what the solver rejected and in what is left of the residuals. With the ray
+//! `v` of an observation (in the world), its prediction `u = (x - c) / |x - c|` and the tangent residual `e = B(u)^T v`
+//! (`D - 1` numbers, [`tangent_basis`](crate::geometry::tangent_basis)), five things are looked at, all of them against
+//! observations the scene says it uses (*accepted*):
+//!
+//! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest
+//!    and how many point away from their point;
+//! 2. *ties*: do accepted observations tie every view to its component?
+//! 3. *agreement* ([`pairs`]): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
+//!    stronger chain of pairs that joins the two: the scene is torn there, or folded;
+//! 4. *tension* and 5. *strain* ([`windows`]): a few neighbouring views are adjusted by themselves, one linear step. Where
+//!    nothing pulls at them, they gain no more than their freedoms take from noise.
+//!
+//! Shapes: `N` observations, `V` freedoms of a view (3 in the plane, 6 in space). Cost and memory are linear in `N`.
+//! The scene may come from any solver: residuals are computed here.
+
+use crate::geometry::{Rotation, Vector};
+use crate::structure::Structure;
+use crate::tracks::Tracks;
+
+mod finding;
+mod pairs;
+mod rays;
+mod windows;
+
+pub use finding::Finding;
+
+use rays::Rays;
+
+/// Limits of [`check_consistency`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ConsistencyOptions {
+    /// Largest noise that a camera is believed to have, radians in each tangent direction. Default: 5 degrees.
+    pub max_noise_rad: f64,
+    /// Largest noise as a multiple of the `sigma_rad` of the tracks, where they have any. Default: 1.5.
+    pub max_noise_ratio: f64,
+    /// Largest share of accepted observations beyond ten times the noise. Default: 0.01.
+    pub max_misfit_share: f64,
+    /// Largest share of accepted observations whose point lies behind them. Default: 0.001.
+    pub max_behind_share: f64,
+    /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-6.
+    pub pair_chance: f64,
+    /// Largest noise in the scene as a multiple of the noise among four neighbouring views. Default: 1.1.
+    pub max_tension: f64,
+    /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
+    pub max_near_strain: f64,
+    /// The same of ten views. Default: 3.
+    pub max_far_strain: f64,
+}
+
+impl Default for ConsistencyOptions {
+    fn default() -> Self {
+        Self {
+            max_noise_rad: 5.0_f64.to_radians(),
+            max_noise_ratio: 1.5,
+            max_misfit_share: 0.01,
+            max_behind_share: 0.001,
+            pair_chance: 1e-6,
+            max_tension: 1.1,
+            max_near_strain: 6.0,
+            max_far_strain: 3.0,
+        }
+    }
+}
+
+/// A figure with its limit; NaN where there is too little to measure it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Statistic {
+    /// What is measured.
+    pub name: &'static str,
+    /// The worst of all components.
+    pub value: f64,
+    /// The most that passes.
+    pub limit: f64,
+}
+
+/// What [`check_consistency`] answers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Consistency {
+    /// What is wrong, in the order of the module's text; empty where the scene passes.
+    pub findings: Vec<Finding>,
+    /// Every figure that was measured.
+    pub statistics: Vec<Statistic>,
+}
+
+impl Consistency {
+    /// Is nothing wrong?
+    pub fn passed(&self) -> bool {
+        self.findings.is_empty()
+    }
+}
+
+/// Why a scene cannot be checked.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ConsistencyError {
+    /// An array of the scene that does not go with the tracks.
+    #[error("{name} has {found} entries, expected {expected}")]
+    Length {
+        /// Which array.
+        name: &'static str,
+        /// Its length.
+        found: usize,
+        /// The number of views, tracks or observations.
+        expected: usize,
+    },
+    /// A limit that is no number above zero.
+    #[error("{name} is {found}, expected a number above 0")]
+    Limit {
+        /// Which limit.
+        name: &'static str,
+        /// Its value.
+        found: f64,
+    },
+}
+
+/// Checks a scene against the tracks it was made from; `V` is 3 for `D = 2` and 6 for `D = 3`.
+///
+/// Views and points without a finite position, or outside every component, are left out, and observations between
+/// components too. A scene without anything solved passes: it claims nothing.
+///
+/// # Errors
+/// [`ConsistencyError`] naming the array or the limit that cannot be used.
+pub fn check_consistency<const D: usize, const V: usize>(
+    tracks: &Tracks<D>,
+    scene: &Structure<D>,
+    options: &ConsistencyOptions,
+) -> Result<Consistency, ConsistencyError> {
+    check_lengths(tracks, scene)?;
+    check_limits(options)?;
+    let rays = Rays::<D>::new(tracks, scene);
+    let mut found = Consistency { findings: Vec::new(), statistics: Vec::new() };
+    judge_noise(&rays, options, &mut found);
+    let ties = pairs::count(&rays);
+    judge_ties(&rays, &ties, &mut found);
+    judge_agreement(&ties, options, &mut found);
+    judge_windows::<D, V>(&rays, &ties, options, &mut found);
+    Ok(found)
+}
+
+impl Consistency {
+    /// Notes a figure, the largest of `values`.
+    fn note(&mut self, name: &'static str, values: impl Iterator<Item = f64>, limit: f64) {
+        let value = values.fold(f64::NAN, f64::max);
+        self.statistics.push(Statistic { name, value, limit });
+    }
+}
+
+fn judge_noise<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, found: &mut Consistency) {
+    let noise = rays.noise();
+    found.note("noise_rad", noise.iter().map(|n| n.sigma_rad), o.max_noise_rad);
+    if rays.has_sigma() {
+        found.note("noise_over_given", noise.iter().map(|n| n.over_given), o.max_noise_ratio);
+    }
+    found.note("misfit_share", noise.iter().map(|n| n.misfit_share), o.max_misfit_share);
+    found.note("behind_share", noise.iter().map(|n| n.behind_share), o.max_behind_share);
+    for (component, n) in noise.iter().enumerate() {
+        let part = rays.part_name(component);
+        if n.sigma_rad > o.max_noise_rad {
+            found.findings.push(Finding::Noise { part: part.clone(), sigma_rad: n.sigma_rad, limit: o.max_noise_rad });
+        }
+        if n.over_given > o.max_noise_ratio {
+            found.findings.push(Finding::NoiseOverGiven { part: part.clone(), ratio: n.over_given });
+        }
+        if n.misfit_share > o.max_misfit_share {
+            found.findings.push(Finding::Misfits { part: part.clone(), share: n.misfit_share });
+        }
+        if n.behind_share > o.max_behind_share {
+            found.findings.push(Finding::Behind { part, share: n.behind_share, views: n.views_behind.clone() });
+        }
+    }
+}
+
+fn judge_ties<const D: usize>(rays: &Rays<'_, D>, ties: &pairs::Ties, found: &mut Consistency) {
+    let loose = pairs::loose_groups(rays, ties);
+    let n_loose: usize = loose.iter().map(|g| g.views.len()).sum();
+    found.note("untied_views", std::iter::once(n_loose as f64), 0.0);
+    found.findings.extend(loose.into_iter().map(|g| Finding::Untied { part: rays.part_name(g.component), views: g.views }));
+}
+
+fn judge_agreement(ties: &pairs::Ties, o: &ConsistencyOptions, found: &mut Consistency) {
+    let tears = pairs::tears(ties, o.pair_chance);
+    found.note("torn_places", std::iter::once(tears.len() as f64), 0.0);
+    found.findings.extend(tears);
+}
+
+fn judge_windows<const D: usize, const V: usize>(
+    rays: &Rays<'_, D>,
+    ties: &pairs::Ties,
+    o: &ConsistencyOptions,
+    found: &mut Consistency,
+) {
+    let near = windows::adjust::<D, V>(rays, ties, windows::NEAR);
+    let far = windows::adjust::<D, V>(rays, ties, windows::FAR);
+    let tension = windows::tension(rays, &near);
+    found.note("tension", tension.iter().map(|t| t.ratio()), o.max_tension);
+    for (component, t) in tension.iter().enumerate().filter(|(_, t)| t.ratio() > o.max_tension) {
+        let part = rays.part_name(component);
+        found.findings.push(Finding::Tension { part, alone_rad: t.alone_rad, scene_rad: t.scene_rad });
+    }
+    for (name, of, limit) in [("near_strain", near, o.max_near_strain), ("far_strain", far, o.max_far_strain)] {
+        found.note(name, of.iter().map(|w| w.strain()), limit);
+        found.findings.extend(windows::strained(&of, limit));
+    }
+}
+
+fn check_lengths<const D: usize>(tracks: &Tracks<D>, scene: &Structure<D>) -> Result<(), ConsistencyError> {
+    let (n_views, n_tracks) = (tracks.n_views(), tracks.n_tracks());
+    let wanted = [
+        ("centers", scene.centers.len(), n_views),
+        ("cam_from_world", scene.cam_from_world.len(), n_views),
+        ("view_component", scene.view_component.len(), n_views),
+        ("points", scene.points.len(), n_tracks),
+        ("track_component", scene.track_component.len(), n_tracks),
+        ("inlier", scene.inlier.len(), tracks.len()),
+    ];
+    match wanted.into_iter().find(|(_, found, expected)| found != expected) {
+        Some((name, found, expected)) => Err(ConsistencyError::Length { name, found, expected }),
+        None => Ok(()),
+    }
+}
+
+fn check_limits(o: &ConsistencyOptions) -> Result<(), ConsistencyError> {
+    let limits = [
+        ("max_noise_rad", o.max_noise_rad),
+        ("max_noise_ratio", o.max_noise_ratio),
+        ("max_misfit_share", o.max_misfit_share),
+        ("max_behind_share", o.max_behind_share),
+        ("pair_chance", o.pair_chance),
+        ("max_tension", o.max_tension),
+        ("max_near_strain", o.max_near_strain),
+        ("max_far_strain", o.max_far_strain),
+    ];
+    match limits.into_iter().find(|(_, value)| value.is_nan() || *value <= 0.0) {
+        Some((name, found)) => Err(ConsistencyError::Limit { name, found }),
+        None => Ok(()),
+    }
+}
+
+/// Is every coordinate a number?
+fn is_finite<const D: usize>(x: &Vector<D>) -> bool {
+    x.iter().all(|c| c.is_finite())
+}
+
+/// Is every entry a number?
+fn is_known<const D: usize>(rotation: &Rotation<D>) -> bool {
+    rotation.matrix().iter().all(is_finite)
+}

@@ -1,0 +1,223 @@
+//! Of the tracks that two views share, how many fit both?
+//!
+//! A pair `(i, k)` shares `n` tracks, of which `a` were accepted by both. In the whole scene the share is `p = sum a / sum n`.
+//! False bearings are spread over all pairs and only lower `p`. A pair has a share of its own where
+//! `n KL(a / n, 0.85 p) > ln(pairs / chance)`: Chernoff's bound on the chance of so few, for each pair on its own. Such a pair may be
+//! two places that look alike, rightly told apart. It is held against the scene only where what was rejected, `p n - a`
+//! tracks, outweighs what the scene follows instead: no chain of pairs joins the two views each of which has accepted more.
+
+use rayon::prelude::*;
+
+use super::Finding;
+use super::rays::Rays;
+
+/// Two views that share tracks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tie {
+    pub first: u32,
+    pub second: u32,
+    /// Tracks that both saw.
+    pub shared: u32,
+    /// Those that both accepted.
+    pub agreed: u32,
+}
+
+/// All pairs of views of one component that share tracks.
+pub(super) struct Ties {
+    pub n_views: usize,
+    /// Ascending by first view, then by second.
+    pub ties: Vec<Tie>,
+    /// Views with which each view has accepted most tracks, the most first.
+    pub neighbours: Vec<Vec<u32>>,
+}
+
+/// Neighbours kept of each view.
+const MOST_NEIGHBOURS: usize = 9;
+/// A longer track is thinned evenly to so many views before pairs are counted: cost stays linear.
+const LONGEST_TRACK: usize = 64;
+/// Fewer tracks shared are no evidence.
+const LEAST_SHARED: u32 = 8;
+/// Share of the scene's agreement that a pair may have without notice.
+const MARGIN: f64 = 0.85;
+
+/// Counts the tracks of every pair.
+pub(super) fn count<const D: usize>(rays: &Rays<'_, D>) -> Ties {
+    let n_views = rays.tracks.n_views();
+    let chunk = n_views.div_ceil(64).max(1);
+    let of_chunk = |first: usize| {
+        let mut counter = Counter::new(n_views);
+        (first..(first + chunk).min(n_views)).map(|i| counter.of_view(rays, i)).collect::<Vec<_>>()
+    };
+    let firsts: Vec<usize> = (0..n_views).step_by(chunk).collect();
+    let rows: Vec<(Vec<Tie>, Vec<u32>)> = firsts.into_par_iter().map(of_chunk).collect::<Vec<_>>().concat();
+    let (ties, neighbours): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+    Ties { n_views, ties: ties.concat(), neighbours }
+}
+
+/// Counts against all other views, cleared after each view.
+struct Counter {
+    shared: Vec<u32>,
+    agreed: Vec<u32>,
+    touched: Vec<u32>,
+}
+
+impl Counter {
+    fn new(n_views: usize) -> Self {
+        Self { shared: vec![0; n_views], agreed: vec![0; n_views], touched: Vec::new() }
+    }
+
+    /// Ties of one view to later ones, and its neighbours.
+    fn of_view<const D: usize>(&mut self, rays: &Rays<'_, D>, view: usize) -> (Vec<Tie>, Vec<u32>) {
+        for &o in rays.by_view.of(view) {
+            let of_track = rays.by_track.of(rays.tracks.track()[o as usize] as usize);
+            let step = of_track.len().div_ceil(LONGEST_TRACK).max(1);
+            for &other in of_track.iter().step_by(step) {
+                let k = rays.tracks.view()[other as usize] as usize;
+                if k == view || rays.view_component[k] != rays.view_component[view] {
+                    continue;
+                }
+                if self.shared[k] == 0 {
+                    self.touched.push(k as u32);
+                }
+                self.shared[k] += 1;
+                self.agreed[k] += u32::from(rays.accepted[o as usize] && rays.accepted[other as usize]);
+            }
+        }
+        self.touched.sort_unstable();
+        let touched = std::mem::take(&mut self.touched);
+        let all: Vec<Tie> = touched.into_iter().map(|k| self.take(view as u32, k)).collect();
+        let mut nearest: Vec<&Tie> = all.iter().filter(|t| t.agreed > 0).collect();
+        nearest.sort_by_key(|t| (std::cmp::Reverse(t.agreed), t.second));
+        let neighbours = nearest.iter().take(MOST_NEIGHBOURS).map(|t| t.second).collect();
+        (all.iter().filter(|t| t.first < t.second).copied().collect(), neighbours)
+    }
+
+    fn take(&mut self, first: u32, second: u32) -> Tie {
+        let shared = std::mem::take(&mut self.shared[second as usize]);
+        Tie { first, second, shared, agreed: std::mem::take(&mut self.agreed[second as usize]) }
+    }
+}
+
+/// Sets of views that grow together.
+struct Sets(Vec<u32>);
+
+impl Sets {
+    fn new(n: usize) -> Self {
+        Self((0..n as u32).collect())
+    }
+
+    fn find(&mut self, of: u32) -> u32 {
+        let mut at = of;
+        while self.0[at as usize] != at {
+            self.0[at as usize] = self.0[self.0[at as usize] as usize];
+            at = self.0[at as usize];
+        }
+        at
+    }
+
+    /// The smaller root stays one.
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.find(a), self.find(b));
+        self.0[a.max(b) as usize] = a.min(b);
+    }
+}
+
+/// Views of a component that nothing accepted ties to its largest group.
+pub(super) struct Loose {
+    pub component: usize,
+    pub views: Vec<u32>,
+}
+
+/// Groups of views apart from the largest of their component, ascending by first view.
+pub(super) fn loose_groups<const D: usize>(rays: &Rays<'_, D>, ties: &Ties) -> Vec<Loose> {
+    let mut sets = Sets::new(ties.n_views);
+    ties.ties.iter().filter(|t| t.agreed > 0).for_each(|t| sets.join(t.first, t.second));
+    let mut groups: Vec<Vec<u32>> = vec![Vec::new(); ties.n_views];
+    for i in (0..ties.n_views as u32).filter(|&i| rays.view_component[i as usize] >= 0) {
+        groups[sets.find(i) as usize].push(i);
+    }
+    let mut largest = vec![usize::MAX; rays.n_components];
+    for (g, group) in groups.iter().enumerate().filter(|(_, group)| !group.is_empty()) {
+        let best = &mut largest[rays.view_component[group[0] as usize] as usize];
+        if *best == usize::MAX || group.len() > groups[*best].len() {
+            *best = g;
+        }
+    }
+    let is_loose = |g: &usize, views: &[u32]| !views.is_empty() && !largest.contains(g);
+    let loose = groups.into_iter().enumerate().filter(|(g, views)| is_loose(g, views));
+    loose.map(|(_, views)| Loose { component: rays.view_component[views[0] as usize] as usize, views }).collect()
+}
+
+/// Places where the scene is torn: one finding for each group of pairs that hang together.
+pub(super) fn tears(ties: &Ties, chance: f64) -> Vec<Finding> {
+    let usable = ties.ties.iter().filter(|t| t.shared >= LEAST_SHARED);
+    let sums = usable.clone().fold([0u64; 3], |[pairs, shared, agreed], t| {
+        [pairs + 1, shared + u64::from(t.shared), agreed + u64::from(t.agreed)]
+    });
+    let [n_pairs, shared, agreed] = sums.map(|s| s as f64);
+    let elsewhere = agreed / shared.max(1.0);
+    let bound = (n_pairs / chance).ln();
+    let suspects = usable.filter(|t| surprise(t, MARGIN * elsewhere) > bound);
+    let rejected = |t: &Tie| elsewhere * f64::from(t.shared) - f64::from(t.agreed);
+    let guilty = unoutweighed(ties, suspects.map(|t| (*t, rejected(t))).collect());
+    group(ties.n_views, &guilty, elsewhere)
+}
+
+/// Chernoff's bound: `-ln` of the chance of so few agreements where each has probability `expected`.
+fn surprise(tie: &Tie, expected: f64) -> f64 {
+    let n = f64::from(tie.shared);
+    let share = f64::from(tie.agreed) / n;
+    if share >= expected {
+        return 0.0;
+    }
+    let term = |p: f64, q: f64| if p > 0.0 { p * (p / q).ln() } else { 0.0 };
+    n * (term(share, expected) + term(1.0 - share, 1.0 - expected))
+}
+
+/// Those pairs whose views no chain joins of pairs that each accepted more than this pair has rejected.
+fn unoutweighed(ties: &Ties, mut suspects: Vec<(Tie, f64)>) -> Vec<Tie> {
+    suspects.sort_by(|(a, x), (b, y)| y.total_cmp(x).then((a.first, a.second).cmp(&(b.first, b.second))));
+    let mut followed: Vec<&Tie> = ties.ties.iter().filter(|t| t.agreed > 0).collect();
+    followed.sort_by_key(|t| (std::cmp::Reverse(t.agreed), t.first, t.second));
+    let mut sets = Sets::new(ties.n_views);
+    let mut next = 0;
+    let mut guilty = Vec::new();
+    for (tie, rejected) in suspects {
+        while next < followed.len() && f64::from(followed[next].agreed) >= rejected {
+            sets.join(followed[next].first, followed[next].second);
+            next += 1;
+        }
+        if sets.find(tie.first) != sets.find(tie.second) {
+            guilty.push(tie);
+        }
+    }
+    guilty
+}
+
+/// Pairs that share views, together; each group in two sides where it has them.
+fn group(n_views: usize, guilty: &[Tie], elsewhere: f64) -> Vec<Finding> {
+    // node i is view i on one side, node n + i on the other: a pair joins the sides crosswise
+    let n = n_views as u32;
+    let (mut sets, mut sides) = (Sets::new(n_views), Sets::new(2 * n_views));
+    for t in guilty {
+        sets.join(t.first, t.second);
+        sides.join(t.first, t.second + n);
+        sides.join(t.second, t.first + n);
+    }
+    let mut groups: std::collections::BTreeMap<u32, Vec<&Tie>> = std::collections::BTreeMap::new();
+    for t in guilty {
+        groups.entry(sets.find(t.first)).or_default().push(t);
+    }
+    let findings = groups.into_values().map(|pairs| {
+        let mut views: Vec<u32> = pairs.iter().flat_map(|t| [t.first, t.second]).collect();
+        views.sort_unstable();
+        views.dedup();
+        let has_sides = sides.find(views[0]) != sides.find(views[0] + n);
+        let begin = sides.find(views[0]);
+        let (first, second) = views.into_iter().partition(|&i| !has_sides || sides.find(i) == begin);
+        let shared: u64 = pairs.iter().map(|t| u64::from(t.shared)).sum();
+        let agreed: u64 = pairs.iter().map(|t| u64::from(t.agreed)).sum();
+        Finding::Torn { first, second, shared, share: agreed as f64 / shared as f64, elsewhere }
+    });
+    findings.collect()
+}

@@ -1,0 +1,217 @@
+//! The observations of a scene by view and by track, which of them are accepted, and by how much they miss.
+
+use rayon::prelude::*;
+
+use super::{is_finite, is_known};
+use crate::geometry::{Vector, add, dot, norm, normalized, scale, sub, tangent_basis};
+use crate::structure::Structure;
+use crate::tracks::Tracks;
+
+/// Below this the noise counts as this: what is left is rounding, or the last step that a solver did not take.
+pub(super) const LEAST_NOISE_RAD: f64 = 1e-7;
+/// Accepted observations beyond this many times the noise are misfits.
+const MISFIT_SIGMAS: f64 = 10.0;
+/// Median length of a tangent vector of `D - 1` normal numbers.
+const MEDIAN_LENGTH: [f64; 2] = [0.674_489_750_196, 1.177_410_022_515];
+/// Fewest equations beyond the unknowns from which a noise is estimated.
+pub(super) const LEAST_FREEDOM: f64 = 12.0;
+
+/// Observations of a scene, grouped.
+pub(super) struct Rays<'a, const D: usize> {
+    pub tracks: &'a Tracks<D>,
+    pub scene: &'a Structure<D>,
+    /// Component of each view, -1 where it has no position.
+    pub view_component: Vec<i32>,
+    pub n_components: usize,
+    /// Of each observation: used by the scene, and by a view and a point of one component.
+    pub accepted: Vec<bool>,
+    /// Observations of each view that has a position, in the order of the tracks.
+    pub by_view: Groups,
+    /// The same of each track.
+    pub by_track: Groups,
+    /// Weight `sigma / sigma_rad` of an observation, the median sigma over its own; empty where none are given.
+    weight: Vec<f64>,
+    median_sigma: f64,
+}
+
+/// Lists of observations one after the other; list `g` is `item[start[g]..start[g + 1]]`.
+pub(super) struct Groups {
+    start: Vec<u32>,
+    item: Vec<u32>,
+}
+
+impl Groups {
+    /// Lists `items` by their group, in the order in which they come.
+    fn new(n_groups: usize, items: impl Iterator<Item = u32> + Clone, group: impl Fn(u32) -> usize) -> Self {
+        let mut start = vec![0u32; n_groups + 1];
+        items.clone().for_each(|o| start[group(o) + 1] += 1);
+        for g in 0..n_groups {
+            start[g + 1] += start[g];
+        }
+        let mut next = start.clone();
+        let mut item = vec![0; start[n_groups] as usize];
+        for o in items {
+            let place = &mut next[group(o)];
+            item[*place as usize] = o;
+            *place += 1;
+        }
+        Self { start, item }
+    }
+
+    /// One list.
+    pub fn of(&self, group: usize) -> &[u32] {
+        &self.item[self.start[group] as usize..self.start[group + 1] as usize]
+    }
+}
+
+/// An observation as the scene has it.
+pub(super) struct Ray<const D: usize> {
+    /// Predicted direction.
+    pub towards: Vector<D>,
+    /// Distance of the point.
+    pub distance: f64,
+    /// Observed direction in the tangent plane of the predicted one, times the weight of the observation.
+    pub basis: [Vector<D>; 2],
+    pub error: [f64; 2],
+    /// Distance of the two unit vectors, times the weight: grows up to the opposite direction.
+    pub chord: f64,
+    pub is_behind: bool,
+}
+
+/// How much the accepted observations of a component miss.
+#[derive(Clone)]
+pub(super) struct Noise {
+    /// In each tangent direction; of an observation of median sigma.
+    pub sigma_rad: f64,
+    /// The same over the sigma of the tracks; NaN where they have none.
+    pub over_given: f64,
+    pub misfit_share: f64,
+    pub behind_share: f64,
+    pub views_behind: Vec<u32>,
+}
+
+impl<'a, const D: usize> Rays<'a, D> {
+    pub fn new(tracks: &'a Tracks<D>, scene: &'a Structure<D>) -> Self {
+        let solved = |i: usize| is_finite(&scene.centers[i]) && is_known(&scene.cam_from_world[i]);
+        let view_component: Vec<i32> = (0..tracks.n_views())
+            .map(|i| if solved(i) { scene.view_component[i].max(-1) } else { -1 })
+            .collect();
+        let n_components = view_component.iter().map(|&c| (c + 1) as usize).max().unwrap_or(0);
+        let (view, track) = (tracks.view(), tracks.track());
+        let accepted: Vec<bool> = (0..tracks.len())
+            .into_par_iter()
+            .map(|o| {
+                let (i, j) = (view[o] as usize, track[o] as usize);
+                let together = view_component[i] >= 0 && view_component[i] == scene.track_component[j];
+                // a point in the place of a view has no direction
+                scene.inlier[o] && together && is_finite(&scene.points[j]) && scene.points[j] != scene.centers[i]
+            })
+            .collect();
+        let seen = (0..tracks.len() as u32).filter(|&o| view_component[view[o as usize] as usize] >= 0);
+        let by_track = Groups::new(tracks.n_tracks(), seen, |o| track[o as usize] as usize);
+        let by_view = Groups::new(tracks.n_views(), by_track.item.iter().copied(), |o| view[o as usize] as usize);
+        let (weight, median_sigma) = weights(tracks.sigma_rad());
+        Self { tracks, scene, view_component, n_components, accepted, by_view, by_track, weight, median_sigma }
+    }
+
+    pub fn has_sigma(&self) -> bool {
+        !self.weight.is_empty()
+    }
+
+    /// "the scene", or "part 2" where there are several.
+    pub fn part_name(&self, component: usize) -> String {
+        if self.n_components > 1 { format!("part {component}") } else { "the scene".to_owned() }
+    }
+
+    /// An accepted observation.
+    #[inline]
+    pub fn ray(&self, o: usize) -> Ray<D> {
+        let (i, j) = (self.tracks.view()[o] as usize, self.tracks.track()[o] as usize);
+        let (cam_from_world, bearing) = (self.scene.cam_from_world[i].matrix(), &self.tracks.bearing()[o]);
+        // the transposed rotation, row by row
+        let mut seen = [0.0; D];
+        for (row, b) in cam_from_world.iter().zip(bearing) {
+            seen = add(&seen, &scale(*b, row));
+        }
+        let apart = sub(&self.scene.points[j], &self.scene.centers[i]);
+        let distance = norm(&apart).max(f64::MIN_POSITIVE);
+        let towards = normalized(&apart);
+        let weight = self.weight.get(o).copied().unwrap_or(1.0);
+        let basis = tangent_basis(&towards).map(|b| scale(weight, &b));
+        let error = [dot(&basis[0], &seen), dot(&basis[1], &seen)];
+        let chord = weight * norm(&sub(&seen, &towards));
+        Ray { towards, distance, basis, error, chord, is_behind: dot(&towards, &seen) < 0.0 }
+    }
+
+    /// Noise of each component.
+    pub fn noise(&self) -> Vec<Noise> {
+        let sums = self.sums();
+        let mut lengths: Vec<Vec<f64>> = vec![Vec::new(); self.n_components];
+        let mut behind: Vec<Vec<u32>> = vec![Vec::new(); self.n_components];
+        for i in 0..self.tracks.n_views() {
+            let Ok(c) = usize::try_from(self.view_component[i]) else { continue };
+            let (of_view, n_behind) = &sums[i];
+            lengths[c].extend(of_view);
+            behind[c].extend(std::iter::repeat_n(i as u32, *n_behind as usize));
+        }
+        let unknowns = self.unknowns();
+        lengths.into_iter().zip(behind).zip(unknowns).map(|((l, b), u)| self.noise_of(l, b, u)).collect()
+    }
+
+    /// Lengths of the weighted residuals of each view, and how many of them point away.
+    fn sums(&self) -> Vec<(Vec<f64>, u32)> {
+        let of_view = |i: usize| {
+            let mut n_behind = 0;
+            let used = self.by_view.of(i).iter().filter(|&&o| self.accepted[o as usize]);
+            let lengths = used.map(|&o| {
+                let ray = self.ray(o as usize);
+                n_behind += u32::from(ray.is_behind);
+                ray.chord
+            });
+            (lengths.collect(), n_behind)
+        };
+        (0..self.tracks.n_views()).into_par_iter().map(of_view).collect()
+    }
+
+    /// Numbers that were fitted to the accepted observations of each component.
+    fn unknowns(&self) -> Vec<f64> {
+        let mut unknowns = vec![0.0; self.n_components];
+        for j in 0..self.tracks.n_tracks() {
+            if self.by_track.of(j).iter().any(|&o| self.accepted[o as usize]) {
+                unknowns[self.scene.track_component[j] as usize] += D as f64;
+            }
+        }
+        for &c in self.view_component.iter().filter(|&&c| c >= 0) {
+            unknowns[c as usize] += D as f64;
+        }
+        unknowns
+    }
+
+    fn noise_of(&self, mut lengths: Vec<f64>, behind: Vec<u32>, unknowns: f64) -> Noise {
+        let n = lengths.len() as f64;
+        let freedom = n * (D - 1) as f64 - unknowns;
+        let share_of = |count: usize| count as f64 / n;
+        let behind_share = share_of(behind.len());
+        let mut views_behind = behind;
+        views_behind.dedup();
+        if freedom < LEAST_FREEDOM {
+            let (sigma_rad, over_given) = (f64::NAN, f64::NAN);
+            return Noise { sigma_rad, over_given, misfit_share: f64::NAN, behind_share, views_behind };
+        }
+        let sigma_rad = (lengths.iter().map(|l| l * l).sum::<f64>() / freedom).sqrt();
+        let over_given = if self.has_sigma() { sigma_rad / self.median_sigma } else { f64::NAN };
+        let middle = lengths.len() / 2;
+        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let typical = (median / MEDIAN_LENGTH[D - 2]).max(LEAST_NOISE_RAD);
+        let misfits = lengths.iter().filter(|&&l| l > MISFIT_SIGMAS * typical).count();
+        Noise { sigma_rad, over_given, misfit_share: share_of(misfits), behind_share, views_behind }
+    }
+}
+
+/// Weights of observations against that of median sigma, and that sigma.
+fn weights(sigma_rad: Option<&[f64]>) -> (Vec<f64>, f64) {
+    let Some(sigma) = sigma_rad.filter(|s| !s.is_empty()) else { return (Vec::new(), f64::NAN) };
+    let mut sorted = sigma.to_vec();
+    let median = *sorted.select_nth_unstable_by(sigma.len() / 2, f64::total_cmp).1;
+    (sigma.iter().map(|s| median / s).collect(), median)
+}

@@ -1,0 +1,425 @@
+//! A few neighbouring views adjusted by themselves: what would they gain, and how much noise is left?
+//!
+//! One linear step over the views of a window and the points that at least two of them see. With `Q` an orthonormal basis of
+//! the columns of a point (two across its direction, one along it), each point is eliminated by `e - Q Q^T e` and
+//! `J - Q Q^T J`; then
+//!
+//! ```text
+//! H = J^T (1 - Q Q^T) J,   g = J^T (1 - Q Q^T) e,   gain = g^T (H + r)^-1 g,   freedoms = tr (H + r)^-1 H
+//! noise^2 = (|e - Q Q^T e|^2 - gain) / (equations - freedoms),   strain = gain / freedoms / noise^2
+//! ```
+//!
+//! with a ridge `r` of a millionth of the diagonal, which takes gauge and whatever else is open out of both `gain` and
+//! `freedoms`. Orientations are free, held or not in the scene. A right scene gains at most one unit of noise a freedom:
+//! an F statistic. The noise of all small windows together is what the bearings have where nothing pulls, whatever the
+//! scene as a whole looks like; `tension` is what they miss by in the scene over that.
+//! Shapes: `J` is `(D - 1) n x V m` for `m` views.
+
+use rayon::prelude::*;
+
+use super::Finding;
+use super::pairs::Ties;
+use super::rays::{LEAST_FREEDOM, LEAST_NOISE_RAD, Ray, Rays};
+use crate::geometry::{Vector, add, dot, normalized, tangent_basis};
+
+/// How windows are chosen.
+#[derive(Clone, Copy)]
+pub(super) struct Size {
+    /// Views of a window.
+    n_views: usize,
+    /// Windows in which each view is to be, where there are enough.
+    coverage: u32,
+    /// Most points of a window; more are thinned evenly.
+    most_points: usize,
+}
+
+/// A view and its next neighbours: shape hardly matters, so what is left is noise.
+pub(super) const NEAR: Size = Size { n_views: 4, coverage: 2, most_points: 400 };
+/// Enough of a path to have a shape.
+pub(super) const FAR: Size = Size { n_views: 10, coverage: 3, most_points: 500 };
+
+/// What a window's views gain by themselves.
+#[derive(Clone)]
+pub(super) struct Window {
+    /// Ascending.
+    pub views: Vec<u32>,
+    /// Squared residuals of the scene once points are left to this window, and what its views take off that.
+    squares: f64,
+    gain: f64,
+    equations: f64,
+    freedoms: f64,
+    /// Squared residuals as the scene has them, and their number times `D - 1`.
+    scene_squares: f64,
+    scene_equations: f64,
+}
+
+impl Window {
+    /// Noise among the views by themselves, squared.
+    fn alone_squared(&self) -> f64 {
+        let squared = (self.squares - self.gain) / (self.equations - self.freedoms);
+        squared.max(LEAST_NOISE_RAD * LEAST_NOISE_RAD)
+    }
+
+    /// Gain of a freedom, in units of noise.
+    pub fn strain(&self) -> f64 {
+        self.gain / self.freedoms / self.alone_squared()
+    }
+}
+
+/// Adjusts windows that cover all views.
+pub(super) fn adjust<const D: usize, const V: usize>(rays: &Rays<'_, D>, ties: &Ties, size: Size) -> Vec<Window> {
+    let windows = choose(ties, size);
+    windows.into_par_iter().filter_map(|views| Adjustment::<D, V>::of(rays, views, size.most_points)).collect()
+}
+
+/// A view with its next neighbours, for each view that is not yet in enough windows.
+fn choose(ties: &Ties, size: Size) -> Vec<Vec<u32>> {
+    let mut covered = vec![0; ties.n_views];
+    let mut windows = Vec::new();
+    for i in 0..ties.n_views {
+        if covered[i] >= size.coverage || ties.neighbours[i].len() < 2 {
+            continue;
+        }
+        let mut views: Vec<u32> = ties.neighbours[i].iter().take(size.n_views - 1).copied().collect();
+        views.push(i as u32);
+        views.sort_unstable();
+        views.iter().for_each(|&k| covered[k as usize] += 1);
+        windows.push(views);
+    }
+    windows
+}
+
+/// Part of the diagonal that is added to it.
+const RIDGE: f64 = 1e-6;
+/// A column of a point that keeps less of its length than this is none of its own: no parallax.
+const NO_PARALLAX: f64 = 1e-9;
+
+/// The normal equations of one window, lower triangle.
+struct Adjustment<const D: usize, const V: usize> {
+    dim: usize,
+    matrix: Vec<f64>,
+    gradient: Vec<f64>,
+    squares: f64,
+    equations: f64,
+    scene_squares: f64,
+    scene_equations: f64,
+    point: Point<D, V>,
+}
+
+impl<const D: usize, const V: usize> Adjustment<D, V> {
+    fn of(rays: &Rays<'_, D>, views: Vec<u32>, most_points: usize) -> Option<Window> {
+        let dim = V * views.len();
+        let mut sums = Self {
+            dim,
+            matrix: vec![0.0; dim * dim],
+            gradient: vec![0.0; dim],
+            squares: 0.0,
+            equations: 0.0,
+            scene_squares: 0.0,
+            scene_equations: 0.0,
+            point: Point::default(),
+        };
+        let seen = observations(rays, &views);
+        let points: Vec<&[(u32, u32, u32)]> =
+            seen.chunk_by(|a, b| a.0 == b.0).filter(|p| p[0].1 != p[p.len() - 1].1).collect();
+        let step = points.len().div_ceil(most_points).max(1);
+        for point in points.into_iter().step_by(step) {
+            sums.add_point(rays, point);
+        }
+        sums.solve(views)
+    }
+
+    /// Adds a point with the views of the window that accepted it: `(track, slot, observation)` each.
+    fn add_point(&mut self, rays: &Rays<'_, D>, seen: &[(u32, u32, u32)]) {
+        self.point.load(rays, seen);
+        let Point { rays: of_point, basis, rank, .. } = &self.point;
+        let rank = *rank;
+        let mut along = [0.0; D];
+        for (ray, q) in of_point.iter().zip(basis) {
+            for k in 0..D - 1 {
+                self.scene_squares += ray.error[k] * ray.error[k];
+                for c in 0..rank {
+                    along[c] += q[k][c] * ray.error[k];
+                }
+            }
+        }
+        let own: f64 = along[..rank].iter().map(|a| a * a).sum();
+        let squares: f64 = of_point.iter().map(|ray| dot(&ray.error, &ray.error)).sum();
+        self.squares += (squares - own).max(0.0);
+        self.equations += (of_point.len() * (D - 1)) as f64 - rank as f64;
+        self.scene_equations += (of_point.len() * (D - 1)) as f64;
+        self.add_views(seen, &along);
+    }
+
+    /// Adds the views' columns, the point's taken out: `J^T J - (Q^T J)^T (Q^T J)` and `J^T e - (Q^T J)^T (Q^T e)`.
+    fn add_views(&mut self, seen: &[(u32, u32, u32)], along: &[f64; D]) {
+        let Self { dim, matrix, gradient, point, .. } = self;
+        point.reduce();
+        for (a, (ray, columns)) in point.rays.iter().zip(&point.columns).enumerate() {
+            let row = V * seen[a].1 as usize;
+            for r in 0..V {
+                let seen_here: f64 = (0..D - 1).map(|k| columns[k][r] * ray.error[k]).sum();
+                let by_point: f64 = (0..D).map(|c| point.reduced[a][c][r] * along[c]).sum();
+                gradient[row + r] += seen_here - by_point;
+                for c in 0..=r {
+                    let sum: f64 = (0..D - 1).map(|k| columns[k][r] * columns[k][c]).sum();
+                    matrix[(row + r) * *dim + row + c] += sum;
+                }
+            }
+            for (b, other) in point.reduced.iter().enumerate().take(a + 1) {
+                // slots ascend with the observations, so this stays in the lower triangle
+                let column = V * seen[b].1 as usize;
+                for r in 0..V {
+                    let target = &mut matrix[(row + r) * *dim + column..][..V];
+                    for k in 0..D {
+                        let factor = point.reduced[a][k][r];
+                        for (t, o) in target.iter_mut().zip(&other[k]) {
+                            *t -= factor * o;
+                        }
+                    }
+                }
+                if a != b && row == column {
+                    // one view saw the point twice: the block is on the diagonal, and its mirror image belongs to it
+                    for r in 0..V {
+                        for c in 0..V {
+                            let sum: f64 = (0..D).map(|k| point.reduced[b][k][r] * point.reduced[a][k][c]).sum();
+                            matrix[(row + r) * *dim + column + c] -= sum;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes the step; nothing where too little is left over.
+    fn solve(mut self, views: Vec<u32>) -> Option<Window> {
+        let n = self.dim;
+        // columns of unit length; one without any information stays open
+        let scale: Vec<f64> = (0..n)
+            .map(|c| self.matrix[c * n + c])
+            .map(|d| if d > f64::MIN_POSITIVE { 1.0 / d.sqrt() } else { 0.0 })
+            .collect();
+        for r in 0..n {
+            self.gradient[r] *= scale[r];
+            for c in 0..=r {
+                self.matrix[r * n + c] *= scale[r] * scale[c];
+            }
+            self.matrix[r * n + r] = if scale[r] > 0.0 { 1.0 + RIDGE } else { RIDGE };
+        }
+        factor(&mut self.matrix, n)?;
+        let mut gain = 0.0;
+        let mut open = 0.0;
+        let mut column = vec![0.0; n];
+        // L^-1 g for the gain; the columns of L^-1 for the trace of the inverse
+        forward(&self.matrix, n, 0, &mut self.gradient);
+        self.gradient.iter().for_each(|x| gain += x * x);
+        for c in 0..n {
+            column[c..].fill(0.0);
+            column[c] = 1.0;
+            forward(&self.matrix, n, c, &mut column);
+            column[c..].iter().for_each(|x| open += RIDGE * x * x);
+        }
+        let freedoms = n as f64 - open;
+        let window = Window {
+            views,
+            squares: self.squares,
+            gain,
+            equations: self.equations,
+            freedoms,
+            scene_squares: self.scene_squares,
+            scene_equations: self.scene_equations,
+        };
+        (self.equations - freedoms >= LEAST_FREEDOM && freedoms > 0.5).then_some(window)
+    }
+}
+
+/// Accepted observations of some views as `(track, slot, observation)`, ascending.
+fn observations<const D: usize>(rays: &Rays<'_, D>, views: &[u32]) -> Vec<(u32, u32, u32)> {
+    let mut seen: Vec<(u32, u32, u32)> = Vec::new();
+    for (slot, &view) in views.iter().enumerate() {
+        let used = rays.by_view.of(view as usize).iter().filter(|&&o| rays.accepted[o as usize]);
+        seen.extend(used.map(|&o| (rays.tracks.track()[o as usize], slot as u32, o)));
+    }
+    seen.sort_unstable();
+    seen
+}
+
+/// A point of a window, with room that is used again and again.
+struct Point<const D: usize, const V: usize> {
+    rays: Vec<Ray<D>>,
+    /// Rows of `Q`: `(D - 1) x D` of each observation, the first `rank` columns.
+    basis: Vec<[[f64; D]; 2]>,
+    rank: usize,
+    /// Rows of `J`: `(D - 1) x V` of each observation.
+    columns: Vec<[[f64; V]; 2]>,
+    /// `Q^T J`: `D x V` of each observation.
+    reduced: Vec<[[f64; V]; D]>,
+}
+
+impl<const D: usize, const V: usize> Default for Point<D, V> {
+    fn default() -> Self {
+        Self { rays: Vec::new(), basis: Vec::new(), rank: 0, columns: Vec::new(), reduced: Vec::new() }
+    }
+}
+
+impl<const D: usize, const V: usize> Point<D, V> {
+    fn load(&mut self, all: &Rays<'_, D>, seen: &[(u32, u32, u32)]) {
+        self.rays.clear();
+        self.rays.extend(seen.iter().map(|s| all.ray(s.2 as usize)));
+        let middle = normalized(&self.rays.iter().fold([0.0; D], |sum, ray| add(&sum, &ray.towards)));
+        let nearest = self.rays.iter().fold(f64::INFINITY, |d, ray| d.min(ray.distance));
+        let across = tangent_basis(&middle);
+        let axes: [Vector<D>; D] = std::array::from_fn(|c| if c < D - 1 { across[c] } else { middle });
+        self.basis.clear();
+        self.columns.clear();
+        for ray in &self.rays {
+            let near = nearest / ray.distance;
+            self.basis.push(std::array::from_fn(|k| std::array::from_fn(|c| near * dot(&ray.basis[k], &axes[c]))));
+            self.columns.push(std::array::from_fn(|k| view_columns(&ray.basis[k], ray)));
+        }
+        self.orthonormalise();
+    }
+
+    /// Gram and Schmidt, twice; the column along the direction last, as it may be next to nothing.
+    fn orthonormalise(&mut self) {
+        self.rank = 0;
+        for c in 0..D {
+            let length = self.product(c, c).sqrt();
+            for _ in 0..2 {
+                for done in 0..self.rank {
+                    let along = self.product(c, done);
+                    for row in self.basis.iter_mut().flat_map(|q| &mut q[..D - 1]) {
+                        row[c] -= along * row[done];
+                    }
+                }
+            }
+            let left = self.product(c, c).sqrt();
+            if left > NO_PARALLAX * length && left > f64::MIN_POSITIVE {
+                for row in self.basis.iter_mut().flat_map(|q| &mut q[..D - 1]) {
+                    row[self.rank] = row[c] / left;
+                }
+                self.rank += 1;
+            }
+        }
+        for row in self.basis.iter_mut().flat_map(|q| q.iter_mut()) {
+            row[self.rank..].fill(0.0);
+        }
+    }
+
+    fn product(&self, a: usize, b: usize) -> f64 {
+        self.basis.iter().flat_map(|q| &q[..D - 1]).map(|row| row[a] * row[b]).sum()
+    }
+
+    fn reduce(&mut self) {
+        self.reduced.clear();
+        for (q, j) in self.basis.iter().zip(&self.columns) {
+            let entry = |c: usize, v: usize| (0..D - 1).map(|k| q[k][c] * j[k][v]).sum();
+            self.reduced.push(std::array::from_fn(|c| std::array::from_fn(|v| entry(c, v))));
+        }
+    }
+}
+
+/// How one component of a residual changes as the centre moves and the view turns.
+///
+/// A column's sign changes neither gain nor freedoms.
+#[inline(always)]
+fn view_columns<const D: usize, const V: usize>(basis: &Vector<D>, ray: &Ray<D>) -> [f64; V] {
+    let mut columns = [0.0; V];
+    for c in 0..D {
+        columns[c] = basis[c] / ray.distance;
+    }
+    let towards = &ray.towards;
+    if D == 2 {
+        columns[2] = basis[0] * -towards[1] + basis[1] * towards[0];
+    } else {
+        for c in 0..3 {
+            let (i, j) = ((c + 1) % 3, (c + 2) % 3);
+            columns[D + c] = towards[i] * basis[j] - towards[j] * basis[i];
+        }
+    }
+    columns
+}
+
+/// Cholesky factor in place of the lower triangle, row by row; nothing where a pivot is lost.
+fn factor(matrix: &mut [f64], n: usize) -> Option<()> {
+    for r in 0..n {
+        let (above, rest) = matrix.split_at_mut(r * n);
+        let row = &mut rest[..n];
+        for c in 0..r {
+            let other = &above[c * n..c * n + c + 1];
+            let sum: f64 = row[..c].iter().zip(other).map(|(a, b)| a * b).sum();
+            row[c] = (row[c] - sum) / other[c];
+        }
+        let sum: f64 = row[..r].iter().map(|a| a * a).sum();
+        let pivot = row[r] - sum;
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        row[r] = pivot.sqrt();
+    }
+    Some(())
+}
+
+/// Solves `L x = b` in place, where `b` vanishes before entry `first`.
+fn forward(factor: &[f64], n: usize, first: usize, x: &mut [f64]) {
+    for r in first..n {
+        let row = &factor[r * n..r * n + r + 1];
+        let sum: f64 = row[first..r].iter().zip(&x[first..r]).map(|(a, b)| a * b).sum();
+        x[r] = (x[r] - sum) / row[r];
+    }
+}
+
+/// Noise of a component in the scene, and of its small windows by themselves.
+#[derive(Clone, Copy)]
+pub(super) struct Tension {
+    pub alone_rad: f64,
+    pub scene_rad: f64,
+}
+
+impl Tension {
+    /// NaN where either is not known.
+    pub fn ratio(&self) -> f64 {
+        self.scene_rad / self.alone_rad
+    }
+}
+
+/// Tension of each component.
+pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, near: &[Window]) -> Vec<Tension> {
+    let noise = rays.noise();
+    let of_component = |c: usize| {
+        let own = near.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
+        let (left, freedom) = own.fold((0.0, 0.0), |(left, freedom), w| {
+            (left + (w.squares - w.gain).max(0.0), freedom + w.equations - w.freedoms)
+        });
+        let floor = |sigma: f64| if sigma.is_nan() { sigma } else { sigma.max(LEAST_NOISE_RAD) };
+        let alone_rad = if freedom > 0.0 { floor((left / freedom).sqrt()) } else { f64::NAN };
+        Tension { alone_rad, scene_rad: floor(noise[c].sigma_rad) }
+    };
+    (0..rays.n_components).map(of_component).collect()
+}
+
+/// Windows strained beyond the limit, those that share views together.
+pub(super) fn strained(windows: &[Window], limit: f64) -> Vec<Finding> {
+    let mut groups: Vec<(Vec<u32>, &Window)> = Vec::new();
+    for window in windows.iter().filter(|w| w.strain() > limit) {
+        let mut views = window.views.clone();
+        let mut worst = window;
+        let (touched, apart) = groups.into_iter().partition(|(g, _)| g.iter().any(|i| views.binary_search(i).is_ok()));
+        groups = apart;
+        for (more, other) in Vec::from(touched) {
+            views.extend(more);
+            worst = if other.strain() > worst.strain() { other } else { worst };
+        }
+        views.sort_unstable();
+        views.dedup();
+        groups.push((views, worst));
+    }
+    groups.sort_by(|a, b| a.0.cmp(&b.0));
+    let finding = |(views, worst): (Vec<u32>, &Window)| Finding::Strained {
+        views,
+        strain: worst.strain(),
+        scene_rad: (worst.scene_squares / worst.scene_equations).sqrt(),
+        alone_rad: worst.alone_squared().sqrt(),
+    };
+    groups.into_iter().map(finding).collect()
+}
