@@ -35,7 +35,7 @@ class Reconstruction:
     name: str
     tracks: Tracks
     scene: Scene
-    #: Rms camera error over that of the optimum.
+    #: Camera error over that of the optimum: of rms and maximum the larger ratio.
     ratio: float
 
     @property
@@ -91,29 +91,36 @@ def draw_world(rng: np.random.Generator, seed: int, **more: Any) -> tuple[Synthe
     return pp.simulate(name, seed=seed, **settings), name
 
 
-def optimum(tracks: Tracks, world: SyntheticWorld, *, free: bool) -> float:
-    """Camera error of the solve that starts from the truth."""
+def optimum(tracks: Tracks, world: SyntheticWorld, *, free: bool) -> tuple[float, float]:
+    """Camera errors of the solve that starts from the truth, with true observations only."""
     if free:
         start = known_scene(tracks, world.cam_from_world, world.centers, world.points)
         scene = pp.refine(tracks, start)
     else:
         scene = pp.solve_positions(tracks, world.cam_from_world, start=(world.centers, world.points))
-    return camera_error(scene, world, free=free)
+    return camera_errors(scene, world, free=free)
 
 
-def camera_error(scene: Scene, world: SyntheticWorld, *, free: bool) -> float:
-    """Rms camera error; inf where nothing was solved."""
+def camera_errors(scene: Scene, world: SyntheticWorld, *, free: bool) -> tuple[float, float]:
+    """Rms and largest camera error; inf where nothing was solved."""
     try:
-        return pp.evaluate(scene, world, "similarity" if free else "translation_scale").camera_rms
+        found = pp.evaluate(scene, world, "similarity" if free else "translation_scale")
     except InputError:
-        return float("inf")
+        return float("inf"), float("inf")
+    return found.camera_rms, found.camera_max
 
 
-def judged(name: str, tracks: Tracks, scene: Scene, world: SyntheticWorld, *, free: bool, true: Tracks | None = None) -> Reconstruction:
-    """Compare a scene with the optimum on the tracks as they should be."""
-    best = optimum(world.tracks if true is None else true, world, free=free)
+def ratio_of(scene: Scene, best: tuple[float, float], world: SyntheticWorld, *, free: bool) -> float:
+    """Camera errors over those of the optimum: the larger of the ratios of rms and of maximum."""
     floor = 1e-9 * float(np.linalg.norm(np.ptp(world.centers, axis=0)))
-    return Reconstruction(name, tracks, scene, camera_error(scene, world, free=free) / max(best, floor))
+    found = camera_errors(scene, world, free=free)
+    return max(error / max(least, floor) for error, least in zip(found, best, strict=True))
+
+
+def judged(name: str, tracks: Tracks, scene: Scene, world: SyntheticWorld, *, free: bool) -> Reconstruction:
+    """Compare a scene with the optimum on the tracks as they should be."""
+    best = optimum(world.tracks.select(~world.outlier), world, free=free)
+    return Reconstruction(name, tracks, scene, ratio_of(scene, best, world, free=free))
 
 
 def right(rng: np.random.Generator, seed: int) -> Reconstruction:
@@ -135,7 +142,9 @@ def right(rng: np.random.Generator, seed: int) -> Reconstruction:
 # --------------------------------------------------------------------------------------------------- broken scenes
 
 
-def look_alike(world: SyntheticWorld, rng: np.random.Generator, first: int, second: int, reach: int) -> tuple[Tracks, Tracks]:
+def look_alike(
+    world: SyntheticWorld, rng: np.random.Generator, first: int, second: int, reach: int
+) -> tuple[Tracks, Tracks]:
     """Make the place about one view look like that about another: the tracks as they are, and with both merged.
 
     Copies of points seen about the first view are put about the second, with the same views counted from there.
@@ -144,7 +153,13 @@ def look_alike(world: SyntheticWorld, rng: np.random.Generator, first: int, seco
     offset = world.centers[second] - world.centers[first]
     near = np.abs(tracks.view - first) <= reach
     inside = np.bincount(tracks.track, weights=~near, minlength=tracks.n_tracks) == 0
-    seen = near & inside[tracks.track] & ~world.outlier & (tracks.view + shift >= 0) & (tracks.view + shift < tracks.n_views)
+    seen = (
+        near
+        & inside[tracks.track]
+        & ~world.outlier
+        & (tracks.view + shift >= 0)
+        & (tracks.view + shift < tracks.n_views)
+    )
     view, track = tracks.view[seen] + shift, tracks.track[seen]
     direction = world.points[track] + offset - world.centers[view]
     bearing = noisy(np.einsum("nij,nj->ni", world.cam_from_world[view], direction), world.noise_rad, rng)
@@ -201,13 +216,14 @@ def wrong_closure(rng: np.random.Generator, seed: int) -> Reconstruction:
         scene, how = pp.solve_positions(merged, world.cam_from_world, start=(centers, nowhere)), "from the closed start"
     else:
         scene, how = pp.solve_positions(merged, world.cam_from_world, pp.PositionOptions(method="linear")), "linear"
-    true = replace(world, points=np.concatenate((world.points, np.full_like(world.points, np.nan))))
-    best = pp.solve_positions(apart, world.cam_from_world, start=(true.centers, true.points))
+    best = pp.solve_positions(
+        apart, world.cam_from_world, start=(world.centers, np.concatenate((world.points, nowhere)))
+    )
     if free:
         best = pp.refine(apart, best)
-    error = camera_error(best, true, free=free)
-    plain = replace(world, points=np.full_like(world.points, np.nan))
-    ratio = camera_error(scene, plain, free=free) / error
+    nothing = replace(world, points=nowhere)
+    twice = replace(world, points=np.full((apart.n_tracks, apart.d), np.nan))
+    ratio = ratio_of(scene, camera_errors(best, twice, free=free), nothing, free=free)
     return Reconstruction(f"wrong closure, {name}, {how}", merged, scene, ratio)
 
 
@@ -241,10 +257,12 @@ def flipped(rng: np.random.Generator, seed: int) -> Reconstruction:
     n = world.tracks.n_views
     pivot = n // 2 if name == "weak" else int(rng.integers(n // 4, 3 * n // 4))
     flip = np.arange(n) >= pivot
-    centers = np.where(flip[:, None], world.centers[pivot] + factor * (world.centers - world.centers[pivot]), world.centers)
-    mostly = np.bincount(world.tracks.track, weights=flip[world.tracks.view], minlength=world.tracks.n_tracks) * 2 > np.bincount(
-        world.tracks.track, minlength=world.tracks.n_tracks
+    centers = np.where(
+        flip[:, None], world.centers[pivot] + factor * (world.centers - world.centers[pivot]), world.centers
     )
+    mostly = np.bincount(
+        world.tracks.track, weights=flip[world.tracks.view], minlength=world.tracks.n_tracks
+    ) * 2 > np.bincount(world.tracks.track, minlength=world.tracks.n_tracks)
     points = np.where(mostly[:, None], world.points[:] * factor + world.centers[pivot] * (1 - factor), world.points)
     if rng.random() < 0.4:
         scene, how = known_scene(world.tracks, world.cam_from_world, centers, points), "as it is"
@@ -269,7 +287,9 @@ def mis_oriented(rng: np.random.Generator, seed: int) -> Reconstruction:
     orientations[begin : begin + length] = turned(orientations[begin : begin + length], rng, angle)
     method = "linear" if rng.random() < 0.25 else "robust"
     scene = pp.solve_positions(world.tracks, orientations, pp.PositionOptions(method=method))
-    return judged(f"{length} views off by {np.degrees(angle):.1f} deg, {name}, {method}", world.tracks, scene, world, free=False)
+    return judged(
+        f"{length} views off by {np.degrees(angle):.1f} deg, {name}, {method}", world.tracks, scene, world, free=False
+    )
 
 
 def structured_outliers(rng: np.random.Generator, seed: int) -> Reconstruction:
@@ -295,7 +315,7 @@ def structured_outliers(rng: np.random.Generator, seed: int) -> Reconstruction:
         scene = pp.reconstruct_tracks(tracks)
     else:
         scene = pp.solve_positions(tracks, world.cam_from_world, pp.PositionOptions(method=how))
-    return judged(f"40 % {kind}, {name}, {how}", tracks, scene, world, free=how == "unknown", true=world.tracks.select(~world.outlier))
+    return judged(f"40 % {kind}, {name}, {how}", tracks, scene, world, free=how == "unknown")
 
 
 def ghosted(world: SyntheticWorld, rng: np.random.Generator) -> Tracks:

@@ -1,8 +1,8 @@
 //! Arrays in, arrays out: the Python face of the `panopath` crate. No algorithm lives here.
 use pyo3::prelude::*;
 
-mod convert;
 mod consistency;
+mod convert;
 mod correspondence;
 mod headings;
 mod motion;

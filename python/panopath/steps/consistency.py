@@ -24,6 +24,8 @@ class ConsistencyOptions:
     max_noise_ratio: float = 1.5
     #: Share of the accepted observations beyond ten times the noise.
     max_misfit_share: float = 0.01
+    #: Share of the observations, of tracks seen more than once, that the scene does not use.
+    max_rejected_share: float = 0.5
     #: Share of the accepted observations whose point lies behind them.
     max_behind_share: float = 0.001
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
@@ -65,8 +67,8 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
     -------
     Consistency
         ``statistics`` holds value and limit of ``noise_rad``, ``noise_over_given`` (with ``sigma_rad`` only),
-        ``misfit_share``, ``behind_share``, ``untied_views``, ``torn_places``, ``tension``, ``near_strain`` and
-        ``far_strain``, each of the worst component; NaN where there is too little to measure.
+        ``misfit_share``, ``rejected_share``, ``behind_share``, ``untied_views``, ``torn_places``, ``tension``,
+        ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too little to measure.
 
     Raises
     ------

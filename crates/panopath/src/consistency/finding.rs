@@ -28,6 +28,13 @@ pub enum Finding {
         /// Share of the accepted observations.
         share: f64,
     },
+    /// More observations rejected than used.
+    Rejected {
+        /// "the scene", or which part.
+        part: String,
+        /// Share of the observations.
+        share: f64,
+    },
     /// Points behind the views that accepted them.
     Behind {
         /// "the scene", or which part.
@@ -93,6 +100,9 @@ impl fmt::Display for Finding {
             }
             Self::Misfits { part, share } => {
                 write!(f, "{part}: {} of the observations that were used lie far beyond the others", percent(*share))
+            }
+            Self::Rejected { part, share } => {
+                write!(f, "{part}: {} of what its views saw was not used, and may show another scene", percent(*share))
             }
             Self::Behind { part, share, views } => write!(
                 f,

@@ -6,8 +6,8 @@
 //! (`D - 1` numbers, [`tangent_basis`](crate::geometry::tangent_basis)), five things are looked at, all of them against
 //! observations the scene says it uses (*accepted*):
 //!
-//! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest
-//!    and how many point away from their point;
+//! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest,
+//!    how many point away from their point, and how many were rejected: a scene that most of it contradicts is none;
 //! 2. *ties*: do accepted observations tie every view to its component?
 //! 3. *agreement* ([`pairs`]): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
 //!    stronger chain of pairs that joins the two: the scene is torn there, or folded;
@@ -28,7 +28,7 @@ mod windows;
 
 pub use finding::Finding;
 
-use rays::Rays;
+use rays::{Noise, Rays};
 
 /// Limits of [`check_consistency`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +39,8 @@ pub struct ConsistencyOptions {
     pub max_noise_ratio: f64,
     /// Largest share of accepted observations beyond ten times the noise. Default: 0.01.
     pub max_misfit_share: f64,
+    /// Largest share of observations, of tracks seen more than once, that the scene does not use. Default: 0.5.
+    pub max_rejected_share: f64,
     /// Largest share of accepted observations whose point lies behind them. Default: 0.001.
     pub max_behind_share: f64,
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-6.
@@ -57,6 +59,7 @@ impl Default for ConsistencyOptions {
             max_noise_rad: 5.0_f64.to_radians(),
             max_noise_ratio: 1.5,
             max_misfit_share: 0.01,
+            max_rejected_share: 0.5,
             max_behind_share: 0.001,
             pair_chance: 1e-6,
             max_tension: 1.1,
@@ -132,11 +135,12 @@ pub fn check_consistency<const D: usize, const V: usize>(
     check_limits(options)?;
     let rays = Rays::<D>::new(tracks, scene);
     let mut found = Consistency { findings: Vec::new(), statistics: Vec::new() };
-    judge_noise(&rays, options, &mut found);
+    let noise = rays.noise();
+    judge_noise(&rays, &noise, options, &mut found);
     let ties = pairs::count(&rays);
     judge_ties(&rays, &ties, &mut found);
     judge_agreement(&ties, options, &mut found);
-    judge_windows::<D, V>(&rays, &ties, options, &mut found);
+    judge_windows::<D, V>(&rays, &noise, &ties, options, &mut found);
     Ok(found)
 }
 
@@ -148,13 +152,13 @@ impl Consistency {
     }
 }
 
-fn judge_noise<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, found: &mut Consistency) {
-    let noise = rays.noise();
+fn judge_noise<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], o: &ConsistencyOptions, found: &mut Consistency) {
     found.note("noise_rad", noise.iter().map(|n| n.sigma_rad), o.max_noise_rad);
     if rays.has_sigma() {
         found.note("noise_over_given", noise.iter().map(|n| n.over_given), o.max_noise_ratio);
     }
     found.note("misfit_share", noise.iter().map(|n| n.misfit_share), o.max_misfit_share);
+    found.note("rejected_share", noise.iter().map(|n| n.rejected_share), o.max_rejected_share);
     found.note("behind_share", noise.iter().map(|n| n.behind_share), o.max_behind_share);
     for (component, n) in noise.iter().enumerate() {
         let part = rays.part_name(component);
@@ -167,6 +171,9 @@ fn judge_noise<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, found
         if n.misfit_share > o.max_misfit_share {
             found.findings.push(Finding::Misfits { part: part.clone(), share: n.misfit_share });
         }
+        if n.rejected_share > o.max_rejected_share {
+            found.findings.push(Finding::Rejected { part: part.clone(), share: n.rejected_share });
+        }
         if n.behind_share > o.max_behind_share {
             found.findings.push(Finding::Behind { part, share: n.behind_share, views: n.views_behind.clone() });
         }
@@ -177,7 +184,9 @@ fn judge_ties<const D: usize>(rays: &Rays<'_, D>, ties: &pairs::Ties, found: &mu
     let loose = pairs::loose_groups(rays, ties);
     let n_loose: usize = loose.iter().map(|g| g.views.len()).sum();
     found.note("untied_views", std::iter::once(n_loose as f64), 0.0);
-    found.findings.extend(loose.into_iter().map(|g| Finding::Untied { part: rays.part_name(g.component), views: g.views }));
+    found
+        .findings
+        .extend(loose.into_iter().map(|g| Finding::Untied { part: rays.part_name(g.component), views: g.views }));
 }
 
 fn judge_agreement(ties: &pairs::Ties, o: &ConsistencyOptions, found: &mut Consistency) {
@@ -188,13 +197,14 @@ fn judge_agreement(ties: &pairs::Ties, o: &ConsistencyOptions, found: &mut Consi
 
 fn judge_windows<const D: usize, const V: usize>(
     rays: &Rays<'_, D>,
+    noise: &[Noise],
     ties: &pairs::Ties,
     o: &ConsistencyOptions,
     found: &mut Consistency,
 ) {
     let near = windows::adjust::<D, V>(rays, ties, windows::NEAR);
     let far = windows::adjust::<D, V>(rays, ties, windows::FAR);
-    let tension = windows::tension(rays, &near);
+    let tension = windows::tension(rays, noise, &near);
     found.note("tension", tension.iter().map(|t| t.ratio()), o.max_tension);
     for (component, t) in tension.iter().enumerate().filter(|(_, t)| t.ratio() > o.max_tension) {
         let part = rays.part_name(component);
@@ -227,6 +237,7 @@ fn check_limits(o: &ConsistencyOptions) -> Result<(), ConsistencyError> {
         ("max_noise_rad", o.max_noise_rad),
         ("max_noise_ratio", o.max_noise_ratio),
         ("max_misfit_share", o.max_misfit_share),
+        ("max_rejected_share", o.max_rejected_share),
         ("max_behind_share", o.max_behind_share),
         ("pair_chance", o.pair_chance),
         ("max_tension", o.max_tension),

@@ -69,10 +69,11 @@ impl Counter {
     /// Ties of one view to later ones, and its neighbours.
     fn of_view<const D: usize>(&mut self, rays: &Rays<'_, D>, view: usize) -> (Vec<Tie>, Vec<u32>) {
         for &o in rays.by_view.of(view) {
-            let of_track = rays.by_track.of(rays.tracks.track()[o as usize] as usize);
+            let of_track = rays.sightings(rays.tracks.track()[o as usize] as usize);
+            let is_accepted = rays.accepted[o as usize];
             let step = of_track.len().div_ceil(LONGEST_TRACK).max(1);
-            for &other in of_track.iter().step_by(step) {
-                let k = rays.tracks.view()[other as usize] as usize;
+            for &(other, other_accepted) in of_track.iter().step_by(step) {
+                let k = other as usize;
                 if k == view || rays.view_component[k] != rays.view_component[view] {
                     continue;
                 }
@@ -80,7 +81,7 @@ impl Counter {
                     self.touched.push(k as u32);
                 }
                 self.shared[k] += 1;
-                self.agreed[k] += u32::from(rays.accepted[o as usize] && rays.accepted[other as usize]);
+                self.agreed[k] += u32::from(is_accepted && other_accepted);
             }
         }
         self.touched.sort_unstable();

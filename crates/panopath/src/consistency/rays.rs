@@ -29,6 +29,8 @@ pub(super) struct Rays<'a, const D: usize> {
     pub by_view: Groups,
     /// The same of each track.
     pub by_track: Groups,
+    /// Of each entry of `by_track`: the view, and whether it is accepted; what counting pairs reads, in its order.
+    sightings: Vec<(u32, bool)>,
     /// Weight `sigma / sigma_rad` of an observation, the median sigma over its own; empty where none are given.
     weight: Vec<f64>,
     median_sigma: f64,
@@ -60,7 +62,11 @@ impl Groups {
 
     /// One list.
     pub fn of(&self, group: usize) -> &[u32] {
-        &self.item[self.start[group] as usize..self.start[group + 1] as usize]
+        &self.item[self.range(group)]
+    }
+
+    fn range(&self, group: usize) -> std::ops::Range<usize> {
+        self.start[group] as usize..self.start[group + 1] as usize
     }
 }
 
@@ -73,9 +79,6 @@ pub(super) struct Ray<const D: usize> {
     /// Observed direction in the tangent plane of the predicted one, times the weight of the observation.
     pub basis: [Vector<D>; 2],
     pub error: [f64; 2],
-    /// Distance of the two unit vectors, times the weight: grows up to the opposite direction.
-    pub chord: f64,
-    pub is_behind: bool,
 }
 
 /// How much the accepted observations of a component miss.
@@ -86,6 +89,8 @@ pub(super) struct Noise {
     /// The same over the sigma of the tracks; NaN where they have none.
     pub over_given: f64,
     pub misfit_share: f64,
+    /// Of all observations of tracks that its views saw more than once.
+    pub rejected_share: f64,
     pub behind_share: f64,
     pub views_behind: Vec<u32>,
 }
@@ -93,9 +98,8 @@ pub(super) struct Noise {
 impl<'a, const D: usize> Rays<'a, D> {
     pub fn new(tracks: &'a Tracks<D>, scene: &'a Structure<D>) -> Self {
         let solved = |i: usize| is_finite(&scene.centers[i]) && is_known(&scene.cam_from_world[i]);
-        let view_component: Vec<i32> = (0..tracks.n_views())
-            .map(|i| if solved(i) { scene.view_component[i].max(-1) } else { -1 })
-            .collect();
+        let view_component: Vec<i32> =
+            (0..tracks.n_views()).map(|i| if solved(i) { scene.view_component[i].max(-1) } else { -1 }).collect();
         let n_components = view_component.iter().map(|&c| (c + 1) as usize).max().unwrap_or(0);
         let (view, track) = (tracks.view(), tracks.track());
         let accepted: Vec<bool> = (0..tracks.len())
@@ -110,8 +114,25 @@ impl<'a, const D: usize> Rays<'a, D> {
         let seen = (0..tracks.len() as u32).filter(|&o| view_component[view[o as usize] as usize] >= 0);
         let by_track = Groups::new(tracks.n_tracks(), seen, |o| track[o as usize] as usize);
         let by_view = Groups::new(tracks.n_views(), by_track.item.iter().copied(), |o| view[o as usize] as usize);
+        let sightings = by_track.item.par_iter().map(|&o| (view[o as usize], accepted[o as usize])).collect();
         let (weight, median_sigma) = weights(tracks.sigma_rad());
-        Self { tracks, scene, view_component, n_components, accepted, by_view, by_track, weight, median_sigma }
+        Self {
+            tracks,
+            scene,
+            view_component,
+            n_components,
+            accepted,
+            by_view,
+            by_track,
+            sightings,
+            weight,
+            median_sigma,
+        }
+    }
+
+    /// View of each observation of a track, and whether it is accepted.
+    pub fn sightings(&self, track: usize) -> &[(u32, bool)] {
+        &self.sightings[self.by_track.range(track)]
     }
 
     pub fn has_sigma(&self) -> bool {
@@ -123,9 +144,9 @@ impl<'a, const D: usize> Rays<'a, D> {
         if self.n_components > 1 { format!("part {component}") } else { "the scene".to_owned() }
     }
 
-    /// An accepted observation.
+    /// Seen and predicted direction of an accepted observation, and the distance of its point.
     #[inline]
-    pub fn ray(&self, o: usize) -> Ray<D> {
+    fn directions(&self, o: usize) -> (Vector<D>, Vector<D>, f64) {
         let (i, j) = (self.tracks.view()[o] as usize, self.tracks.track()[o] as usize);
         let (cam_from_world, bearing) = (self.scene.cam_from_world[i].matrix(), &self.tracks.bearing()[o]);
         // the transposed rotation, row by row
@@ -134,13 +155,20 @@ impl<'a, const D: usize> Rays<'a, D> {
             seen = add(&seen, &scale(*b, row));
         }
         let apart = sub(&self.scene.points[j], &self.scene.centers[i]);
-        let distance = norm(&apart).max(f64::MIN_POSITIVE);
-        let towards = normalized(&apart);
-        let weight = self.weight.get(o).copied().unwrap_or(1.0);
-        let basis = tangent_basis(&towards).map(|b| scale(weight, &b));
+        (seen, normalized(&apart), norm(&apart).max(f64::MIN_POSITIVE))
+    }
+
+    fn weight(&self, o: usize) -> f64 {
+        self.weight.get(o).copied().unwrap_or(1.0)
+    }
+
+    /// An accepted observation.
+    #[inline]
+    pub fn ray(&self, o: usize) -> Ray<D> {
+        let (seen, towards, distance) = self.directions(o);
+        let basis = tangent_basis(&towards).map(|b| scale(self.weight(o), &b));
         let error = [dot(&basis[0], &seen), dot(&basis[1], &seen)];
-        let chord = weight * norm(&sub(&seen, &towards));
-        Ray { towards, distance, basis, error, chord, is_behind: dot(&towards, &seen) < 0.0 }
+        Ray { towards, distance, basis, error }
     }
 
     /// Noise of each component.
@@ -154,8 +182,28 @@ impl<'a, const D: usize> Rays<'a, D> {
             lengths[c].extend(of_view);
             behind[c].extend(std::iter::repeat_n(i as u32, *n_behind as usize));
         }
-        let unknowns = self.unknowns();
-        lengths.into_iter().zip(behind).zip(unknowns).map(|((l, b), u)| self.noise_of(l, b, u)).collect()
+        let (unknowns, told) = (self.unknowns(), self.told());
+        (0..self.n_components)
+            .map(|c| {
+                let used = lengths[c].len() as f64;
+                let noise = self.noise_of(std::mem::take(&mut lengths[c]), std::mem::take(&mut behind[c]), unknowns[c]);
+                Noise { rejected_share: 1.0 - used / told[c], ..noise }
+            })
+            .collect()
+    }
+
+    /// Observations by the views of each component, of tracks that they saw more than once.
+    fn told(&self) -> Vec<f64> {
+        let mut told = vec![0.0; self.n_components];
+        for j in 0..self.tracks.n_tracks() {
+            let seen = self.sightings(j);
+            let component = |s: &(u32, bool)| self.view_component[s.0 as usize];
+            for sighting in seen {
+                let is_alone = seen.iter().filter(|other| component(other) == component(sighting)).nth(1).is_none();
+                told[component(sighting) as usize] += if is_alone { 0.0 } else { 1.0 };
+            }
+        }
+        told
     }
 
     /// Lengths of the weighted residuals of each view, and how many of them point away.
@@ -164,9 +212,10 @@ impl<'a, const D: usize> Rays<'a, D> {
             let mut n_behind = 0;
             let used = self.by_view.of(i).iter().filter(|&&o| self.accepted[o as usize]);
             let lengths = used.map(|&o| {
-                let ray = self.ray(o as usize);
-                n_behind += u32::from(ray.is_behind);
-                ray.chord
+                let (seen, towards, _) = self.directions(o as usize);
+                n_behind += u32::from(dot(&towards, &seen) < 0.0);
+                // the chord grows up to the opposite direction
+                self.weight(o as usize) * norm(&sub(&seen, &towards))
             });
             (lengths.collect(), n_behind)
         };
@@ -196,7 +245,8 @@ impl<'a, const D: usize> Rays<'a, D> {
         views_behind.dedup();
         if freedom < LEAST_FREEDOM {
             let (sigma_rad, over_given) = (f64::NAN, f64::NAN);
-            return Noise { sigma_rad, over_given, misfit_share: f64::NAN, behind_share, views_behind };
+            let misfit_share = f64::NAN;
+            return Noise { sigma_rad, over_given, misfit_share, rejected_share: f64::NAN, behind_share, views_behind };
         }
         let sigma_rad = (lengths.iter().map(|l| l * l).sum::<f64>() / freedom).sqrt();
         let over_given = if self.has_sigma() { sigma_rad / self.median_sigma } else { f64::NAN };
@@ -204,7 +254,8 @@ impl<'a, const D: usize> Rays<'a, D> {
         let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
         let typical = (median / MEDIAN_LENGTH[D - 2]).max(LEAST_NOISE_RAD);
         let misfits = lengths.iter().filter(|&&l| l > MISFIT_SIGMAS * typical).count();
-        Noise { sigma_rad, over_given, misfit_share: share_of(misfits), behind_share, views_behind }
+        let misfit_share = share_of(misfits);
+        Noise { sigma_rad, over_given, misfit_share, rejected_share: f64::NAN, behind_share, views_behind }
     }
 }
 

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::Finding;
 use super::pairs::Ties;
-use super::rays::{LEAST_FREEDOM, LEAST_NOISE_RAD, Ray, Rays};
+use super::rays::{LEAST_FREEDOM, LEAST_NOISE_RAD, Noise, Ray, Rays};
 use crate::geometry::{Vector, add, dot, normalized, tangent_basis};
 
 /// How windows are chosen.
@@ -29,14 +29,14 @@ pub(super) struct Size {
     n_views: usize,
     /// Windows in which each view is to be, where there are enough.
     coverage: u32,
-    /// Most points of a window; more are thinned evenly.
+    /// Most points of a window; more are thinned.
     most_points: usize,
 }
 
 /// A view and its next neighbours: shape hardly matters, so what is left is noise.
-pub(super) const NEAR: Size = Size { n_views: 4, coverage: 2, most_points: 400 };
+pub(super) const NEAR: Size = Size { n_views: 4, coverage: 1, most_points: 300 };
 /// Enough of a path to have a shape.
-pub(super) const FAR: Size = Size { n_views: 10, coverage: 3, most_points: 500 };
+pub(super) const FAR: Size = Size { n_views: 10, coverage: 2, most_points: 300 };
 
 /// What a window's views gain by themselves.
 #[derive(Clone)]
@@ -117,9 +117,9 @@ impl<const D: usize, const V: usize> Adjustment<D, V> {
             equations: 0.0,
             scene_squares: 0.0,
             scene_equations: 0.0,
-            point: Point::default(),
+            point: Point::new(),
         };
-        let seen = observations(rays, &views);
+        let seen = observations(rays, &views, most_points);
         let points: Vec<&[(u32, u32, u32)]> =
             seen.chunk_by(|a, b| a.0 == b.0).filter(|p| p[0].1 != p[p.len() - 1].1).collect();
         let step = points.len().div_ceil(most_points).max(1);
@@ -132,60 +132,44 @@ impl<const D: usize, const V: usize> Adjustment<D, V> {
     /// Adds a point with the views of the window that accepted it: `(track, slot, observation)` each.
     fn add_point(&mut self, rays: &Rays<'_, D>, seen: &[(u32, u32, u32)]) {
         self.point.load(rays, seen);
-        let Point { rays: of_point, basis, rank, .. } = &self.point;
-        let rank = *rank;
-        let mut along = [0.0; D];
-        for (ray, q) in of_point.iter().zip(basis) {
-            for k in 0..D - 1 {
-                self.scene_squares += ray.error[k] * ray.error[k];
-                for c in 0..rank {
-                    along[c] += q[k][c] * ray.error[k];
-                }
-            }
-        }
-        let own: f64 = along[..rank].iter().map(|a| a * a).sum();
-        let squares: f64 = of_point.iter().map(|ray| dot(&ray.error, &ray.error)).sum();
+        let point = &self.point;
+        let squares = product(&point.error, &point.error);
+        let own: f64 = point.along.iter().map(|a| a * a).sum();
         self.squares += (squares - own).max(0.0);
-        self.equations += (of_point.len() * (D - 1)) as f64 - rank as f64;
-        self.scene_equations += (of_point.len() * (D - 1)) as f64;
-        self.add_views(seen, &along);
+        self.equations += (point.error.len() - point.rank) as f64;
+        self.scene_squares += squares;
+        self.scene_equations += point.error.len() as f64;
+        self.add_views(seen);
     }
 
     /// Adds the views' columns, the point's taken out: `J^T J - (Q^T J)^T (Q^T J)` and `J^T e - (Q^T J)^T (Q^T e)`.
-    fn add_views(&mut self, seen: &[(u32, u32, u32)], along: &[f64; D]) {
+    fn add_views(&mut self, seen: &[(u32, u32, u32)]) {
         let Self { dim, matrix, gradient, point, .. } = self;
-        point.reduce();
-        for (a, (ray, columns)) in point.rays.iter().zip(&point.columns).enumerate() {
+        for (a, columns) in point.columns.iter().enumerate() {
             let row = V * seen[a].1 as usize;
             for r in 0..V {
-                let seen_here: f64 = (0..D - 1).map(|k| columns[k][r] * ray.error[k]).sum();
-                let by_point: f64 = (0..D).map(|c| point.reduced[a][c][r] * along[c]).sum();
-                gradient[row + r] += seen_here - by_point;
-                for c in 0..=r {
-                    let sum: f64 = (0..D - 1).map(|k| columns[k][r] * columns[k][c]).sum();
-                    matrix[(row + r) * *dim + row + c] += sum;
+                let mut sum = 0.0;
+                for k in 0..D - 1 {
+                    sum += columns[k][r] * point.error[(D - 1) * a + k];
+                }
+                for c in 0..D {
+                    sum -= point.reduced[a][c][r] * point.along[c];
+                }
+                gradient[row + r] += sum;
+                let own = &mut matrix[(row + r) * *dim + row..][..V];
+                for k in 0..D - 1 {
+                    for c in 0..V {
+                        own[c] += columns[k][r] * columns[k][c];
+                    }
                 }
             }
-            for (b, other) in point.reduced.iter().enumerate().take(a + 1) {
+            for b in 0..=a {
                 // slots ascend with the observations, so this stays in the lower triangle
                 let column = V * seen[b].1 as usize;
-                for r in 0..V {
-                    let target = &mut matrix[(row + r) * *dim + column..][..V];
-                    for k in 0..D {
-                        let factor = point.reduced[a][k][r];
-                        for (t, o) in target.iter_mut().zip(&other[k]) {
-                            *t -= factor * o;
-                        }
-                    }
-                }
+                subtract(&mut matrix[row * *dim + column..], *dim, &point.reduced[a], &point.reduced[b]);
                 if a != b && row == column {
-                    // one view saw the point twice: the block is on the diagonal, and its mirror image belongs to it
-                    for r in 0..V {
-                        for c in 0..V {
-                            let sum: f64 = (0..D).map(|k| point.reduced[b][k][r] * point.reduced[a][k][c]).sum();
-                            matrix[(row + r) * *dim + column + c] -= sum;
-                        }
-                    }
+                    // one view saw the point twice: the mirror image is of the same block
+                    subtract(&mut matrix[row * *dim + column..], *dim, &point.reduced[b], &point.reduced[a]);
                 }
             }
         }
@@ -233,36 +217,72 @@ impl<const D: usize, const V: usize> Adjustment<D, V> {
     }
 }
 
-/// Accepted observations of some views as `(track, slot, observation)`, ascending.
-fn observations<const D: usize>(rays: &Rays<'_, D>, views: &[u32]) -> Vec<(u32, u32, u32)> {
+/// Accepted observations of some views as `(track, slot, observation)`, ascending; of some tracks where there are far more
+/// than `most_points`.
+fn observations<const D: usize>(rays: &Rays<'_, D>, views: &[u32], most_points: usize) -> Vec<(u32, u32, u32)> {
+    let n_all: usize = views.iter().map(|&view| rays.by_view.of(view as usize).len()).sum();
+    let step = (n_all / (THINNED_LENGTH * most_points)).max(1) as u32;
     let mut seen: Vec<(u32, u32, u32)> = Vec::new();
     for (slot, &view) in views.iter().enumerate() {
-        let used = rays.by_view.of(view as usize).iter().filter(|&&o| rays.accepted[o as usize]);
-        seen.extend(used.map(|&o| (rays.tracks.track()[o as usize], slot as u32, o)));
+        for &o in rays.by_view.of(view as usize) {
+            let track = rays.tracks.track()[o as usize];
+            // scattered: neighbouring tracks may have lengths or places in common
+            if (track.wrapping_mul(SCATTER) >> 8).is_multiple_of(step) && rays.accepted[o as usize] {
+                seen.push((track, slot as u32, o));
+            }
+        }
     }
     seen.sort_unstable();
     seen
 }
 
-/// A point of a window, with room that is used again and again.
+/// Observations a point that thinning leaves room for.
+const THINNED_LENGTH: usize = 4;
+/// Odd, its bits spread: the golden ratio of 2^32.
+const SCATTER: u32 = 0x9e37_79b9;
+
+/// `block -= a^T b` for a block of a matrix whose rows are `stride` apart.
+#[inline(always)]
+fn subtract<const D: usize, const V: usize>(block: &mut [f64], stride: usize, a: &[[f64; V]; D], b: &[[f64; V]; D]) {
+    for r in 0..V {
+        let row = &mut block[r * stride..][..V];
+        for k in 0..D {
+            for c in 0..V {
+                row[c] -= a[k][r] * b[k][c];
+            }
+        }
+    }
+}
+
+/// A point of a window, with room that is used again and again. Rows: `D - 1` for each observation.
 struct Point<const D: usize, const V: usize> {
     rays: Vec<Ray<D>>,
-    /// Rows of `Q`: `(D - 1) x D` of each observation, the first `rank` columns.
-    basis: Vec<[[f64; D]; 2]>,
+    /// Residuals.
+    error: Vec<f64>,
+    /// Columns of `Q`; beyond the rank they are zero.
+    basis: [Vec<f64>; D],
     rank: usize,
+    /// `Q^T e`.
+    along: [f64; D],
     /// Rows of `J`: `(D - 1) x V` of each observation.
     columns: Vec<[[f64; V]; 2]>,
     /// `Q^T J`: `D x V` of each observation.
     reduced: Vec<[[f64; V]; D]>,
 }
 
-impl<const D: usize, const V: usize> Default for Point<D, V> {
-    fn default() -> Self {
-        Self { rays: Vec::new(), basis: Vec::new(), rank: 0, columns: Vec::new(), reduced: Vec::new() }
-    }
-}
-
 impl<const D: usize, const V: usize> Point<D, V> {
+    fn new() -> Self {
+        Self {
+            rays: Vec::new(),
+            error: Vec::new(),
+            basis: std::array::from_fn(|_| Vec::new()),
+            rank: 0,
+            along: [0.0; D],
+            columns: Vec::new(),
+            reduced: Vec::new(),
+        }
+    }
+
     fn load(&mut self, all: &Rays<'_, D>, seen: &[(u32, u32, u32)]) {
         self.rays.clear();
         self.rays.extend(seen.iter().map(|s| all.ray(s.2 as usize)));
@@ -270,53 +290,69 @@ impl<const D: usize, const V: usize> Point<D, V> {
         let nearest = self.rays.iter().fold(f64::INFINITY, |d, ray| d.min(ray.distance));
         let across = tangent_basis(&middle);
         let axes: [Vector<D>; D] = std::array::from_fn(|c| if c < D - 1 { across[c] } else { middle });
-        self.basis.clear();
+        self.error.clear();
         self.columns.clear();
+        self.basis.iter_mut().for_each(Vec::clear);
         for ray in &self.rays {
             let near = nearest / ray.distance;
-            self.basis.push(std::array::from_fn(|k| std::array::from_fn(|c| near * dot(&ray.basis[k], &axes[c]))));
-            self.columns.push(std::array::from_fn(|k| view_columns(&ray.basis[k], ray)));
+            for k in 0..D - 1 {
+                self.error.push(ray.error[k]);
+                for c in 0..D {
+                    self.basis[c].push(near * dot(&ray.basis[k], &axes[c]));
+                }
+            }
+            self.columns.push([view_columns(&ray.basis[0], ray), view_columns(&ray.basis[1], ray)]);
         }
         self.orthonormalise();
+        self.reduce();
     }
 
     /// Gram and Schmidt, twice; the column along the direction last, as it may be next to nothing.
     fn orthonormalise(&mut self) {
         self.rank = 0;
         for c in 0..D {
-            let length = self.product(c, c).sqrt();
-            for _ in 0..2 {
-                for done in 0..self.rank {
-                    let along = self.product(c, done);
-                    for row in self.basis.iter_mut().flat_map(|q| &mut q[..D - 1]) {
-                        row[c] -= along * row[done];
-                    }
-                }
+            let mut column = std::mem::take(&mut self.basis[c]);
+            let length = product(&column, &column).sqrt();
+            for done in self.basis[..self.rank].iter().chain(&self.basis[..self.rank]) {
+                let along = product(&column, done);
+                column.iter_mut().zip(done).for_each(|(x, q)| *x -= along * q);
             }
-            let left = self.product(c, c).sqrt();
-            if left > NO_PARALLAX * length && left > f64::MIN_POSITIVE {
-                for row in self.basis.iter_mut().flat_map(|q| &mut q[..D - 1]) {
-                    row[self.rank] = row[c] / left;
-                }
+            let left = product(&column, &column).sqrt();
+            let is_new = left > NO_PARALLAX * length && left > f64::MIN_POSITIVE;
+            let factor = if is_new { 1.0 / left } else { 0.0 };
+            column.iter_mut().for_each(|x| *x *= factor);
+            self.basis[c] = column;
+            if is_new {
+                self.basis.swap(c, self.rank);
                 self.rank += 1;
             }
         }
-        for row in self.basis.iter_mut().flat_map(|q| q.iter_mut()) {
-            row[self.rank..].fill(0.0);
-        }
-    }
-
-    fn product(&self, a: usize, b: usize) -> f64 {
-        self.basis.iter().flat_map(|q| &q[..D - 1]).map(|row| row[a] * row[b]).sum()
     }
 
     fn reduce(&mut self) {
+        for c in 0..D {
+            self.along[c] = product(&self.basis[c], &self.error);
+        }
         self.reduced.clear();
-        for (q, j) in self.basis.iter().zip(&self.columns) {
-            let entry = |c: usize, v: usize| (0..D - 1).map(|k| q[k][c] * j[k][v]).sum();
-            self.reduced.push(std::array::from_fn(|c| std::array::from_fn(|v| entry(c, v))));
+        for (a, columns) in self.columns.iter().enumerate() {
+            let mut reduced = [[0.0; V]; D];
+            for (of_axis, q) in reduced.iter_mut().zip(&self.basis) {
+                for k in 0..D - 1 {
+                    let factor = q[(D - 1) * a + k];
+                    for v in 0..V {
+                        of_axis[v] += factor * columns[k][v];
+                    }
+                }
+            }
+            self.reduced.push(reduced);
         }
     }
+}
+
+/// Inner product.
+#[inline]
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// How one component of a residual changes as the centre moves and the view turns.
@@ -384,8 +420,7 @@ impl Tension {
 }
 
 /// Tension of each component.
-pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, near: &[Window]) -> Vec<Tension> {
-    let noise = rays.noise();
+pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], near: &[Window]) -> Vec<Tension> {
     let of_component = |c: usize| {
         let own = near.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
         let (left, freedom) = own.fold((0.0, 0.0), |(left, freedom), w| {
