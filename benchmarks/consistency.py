@@ -346,3 +346,131 @@ SABOTAGE: dict[str, Callable[[np.random.Generator, int], Reconstruction]] = {
     "mis-oriented run": mis_oriented,
     "structured outliers": structured_outliers,
 }
+#: Beyond this ratio, a scene that is not broken is not right either: its solver was disturbed.
+RIGHT_RATIO = 2.0
+#: How many scenes are tried for each that is wanted.
+MOST_TRIES = 4
+
+
+def draw(kind: str, n_wanted: int, first_seed: int) -> Iterator[Reconstruction]:
+    """Reconstructions of one kind, in the order of their seeds, until enough are right (or broken) as they should be.
+
+    The others come too: what the solver resisted, and what it spoilt by itself. A scene without views claims nothing
+    and is passed over.
+    """
+    wants_right = kind == "right"
+    make = right if wants_right else SABOTAGE[kind]
+    n_found = 0
+    for seed in range(first_seed, first_seed + MOST_TRIES * n_wanted):
+        if n_found == n_wanted:
+            return
+        # each kind draws from a stream of its own
+        made = make(np.random.default_rng([seed, ("right", *SABOTAGE).index(kind)]), seed)
+        if made.scene.summary.n_solved_views == 0:
+            continue
+        n_found += made.ratio <= RIGHT_RATIO if wants_right else made.is_broken
+        yield made
+
+
+@dataclass
+class Count:
+    """How many scenes of a kind were flagged, by the gate and by less."""
+
+    scenes: int = 0
+    gate: int = 0
+    status: int = 0
+    noise: int = 0
+
+    def add(self, made: Reconstruction, found: pp.Consistency) -> None:
+        """Count one scene."""
+        value, limit = found.statistics["noise_rad"]
+        self.scenes += 1
+        self.gate += not found.passed
+        self.status += not made.scene.summary.status.is_determined
+        self.noise += value > limit
+
+    def row(self, name: str) -> str:
+        """One line of the table."""
+        cells = (f"{n:>4} ({100 * n / max(self.scenes, 1):5.1f} %)" for n in (self.gate, self.status, self.noise))
+        return f"{name:<44} {self.scenes:>6} " + " ".join(f"{cell:>16}" for cell in cells)
+
+
+def judge(n_each: int, first_seed: int) -> tuple[dict[str, Count], Counter[str], list[str]]:
+    """Make all scenes and check them: counts by kind, which figures told, and the mistakes."""
+    counts: dict[str, Count] = {}
+    told: Counter[str] = Counter()
+    mistakes = []
+    for kind, n_wanted in (("right", 4 * n_each), *((kind, n_each) for kind in SABOTAGE)):
+        for made in draw(kind, n_wanted, first_seed):
+            found = pp.check_consistency(made.tracks, made.scene)
+            counts.setdefault(row_of(kind, made), Count()).add(made, found)
+            if made.is_broken:
+                told.update(name for name, (value, limit) in found.statistics.items() if value > limit)
+            if found.passed == made.is_broken and (made.is_broken or kind == "right"):
+                why = found.reasons[0] if found.reasons else "nothing found"
+                mistakes.append(f"{kind}, {made.name}, {made.ratio:.1f} times the optimum: {why}")
+    return counts, told, mistakes
+
+
+def row_of(kind: str, made: Reconstruction) -> str:
+    """The row of the table that a scene belongs to."""
+    if kind == "right":
+        return "right" if made.ratio <= RIGHT_RATIO else "not sabotaged, yet broken or disturbed"
+    if made.is_broken:
+        return f"broken: {kind}"
+    return "sabotage resisted" if made.ratio <= RIGHT_RATIO else "sabotage resisted, but disturbed"
+
+
+def speed(n_views: int, n_points: int, repeats: int) -> str:
+    """Time of the check beside that of the solve, in the same run."""
+    world = pp.simulate(
+        "street",
+        n_views=n_views,
+        n_points=n_points,
+        noise_rad=radians(0.05),
+        outlier_fraction=0.1,
+        orientations="random",
+    )
+    solving, checking = [], []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        scene = pp.solve_positions(world.tracks, world.cam_from_world)
+        solving.append(time.perf_counter() - began)
+        began = time.perf_counter()
+        pp.check_consistency(world.tracks, scene)
+        checking.append(time.perf_counter() - began)
+    return (
+        f"street, {n_views} views, {len(world.tracks)} observations: check {median(checking):.3f} s, "
+        f"solve_positions {median(solving):.3f} s (medians of {repeats})"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--each", type=int, default=25, help="broken scenes of each kind; four times as many right ones"
+    )
+    parser.add_argument("--seed", type=int, default=FRESH_SEED)
+    parser.add_argument("--repeats", type=int, default=3, help="of the timing on the large street; 0: none")
+    chosen = parser.parse_args()
+    counts, told, mistakes = judge(chosen.each, chosen.seed)
+    print(f"{'scenes':<44} {'number':>6} {'gate flags':>16} {'status alone':>16} {'noise alone':>16}")
+    for name in sorted(counts):
+        print(counts[name].row(name))
+    broken = Count()
+    for name, count in counts.items():
+        if name.startswith("broken"):
+            broken = Count(
+                *(getattr(broken, key) + getattr(count, key) for key in ("scenes", "gate", "status", "noise"))
+            )
+    print(broken.row("broken, all kinds"))
+    print("figures beyond their limit in broken scenes:", ", ".join(f"{name} {n}" for name, n in told.most_common()))
+    for mistake in mistakes:
+        print("mistaken:", mistake)
+    if chosen.repeats:
+        print(speed(1000, 100_000, chosen.repeats))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,7 @@
 """From omni-directional bearings to the camera path and the space around it, with a statement of what is certain."""
 
 from panopath import _core
+from panopath.certificate import Consistency
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     Database,
@@ -31,6 +32,7 @@ from panopath.model import (
 from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
+    ConsistencyOptions,
     CorrespondenceOptions,
     FeatureTracks,
     HeadingOptions,
@@ -48,6 +50,7 @@ from panopath.steps import (
     ViewGraphOptions,
     ViewPairs,
     average_rotations,
+    check_consistency,
     find_headings,
     fit_rotations,
     mean_motion,
@@ -65,6 +68,8 @@ from panopath.synthetic import SyntheticWorld, simulate
 __version__ = _core.__version__
 
 __all__ = [
+    "Consistency",
+    "ConsistencyOptions",
     "Control",
     "CorrespondenceOptions",
     "Database",
@@ -107,6 +112,7 @@ __all__ = [
     "ViewPairs",
     "__version__",
     "average_rotations",
+    "check_consistency",
     "evaluate",
     "find_headings",
     "fit_rotations",

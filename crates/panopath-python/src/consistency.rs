@@ -60,7 +60,7 @@ fn read_options(options: &Bound<'_, PyDict>) -> PyResult<(ConsistencyOptions, Op
             "max_noise_rad" => parsed.max_noise_rad = value.extract()?,
             "max_noise_ratio" => parsed.max_noise_ratio = value.extract()?,
             "max_misfit_share" => parsed.max_misfit_share = value.extract()?,
-            "max_rejected_share" => parsed.max_rejected_share = value.extract()?,
+            "max_lost_share" => parsed.max_lost_share = value.extract()?,
             "max_behind_share" => parsed.max_behind_share = value.extract()?,
             "pair_chance" => parsed.pair_chance = value.extract()?,
             "max_tension" => parsed.max_tension = value.extract()?,

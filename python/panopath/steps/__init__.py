@@ -1,5 +1,6 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
+from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
@@ -22,6 +23,7 @@ from panopath.steps.two_view import (
 from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
+    "ConsistencyOptions",
     "CorrespondenceOptions",
     "FeatureTracks",
     "HeadingOptions",
@@ -39,6 +41,7 @@ __all__ = [
     "ViewGraphOptions",
     "ViewPairs",
     "average_rotations",
+    "check_consistency",
     "find_headings",
     "fit_rotations",
     "matches_that_agree",

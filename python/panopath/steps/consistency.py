@@ -23,19 +23,19 @@ class ConsistencyOptions:
     #: Noise as a multiple of the ``sigma_rad`` of the tracks, where they have any.
     max_noise_ratio: float = 1.5
     #: Share of the accepted observations beyond ten times the noise.
-    max_misfit_share: float = 0.01
-    #: Share of the observations, of tracks seen more than once, that the scene does not use.
-    max_rejected_share: float = 0.5
+    max_misfit_share: float = 0.05
+    #: Share of tracks, of those seen five times or more, of which the scene uses less than a third.
+    max_lost_share: float = 0.25
     #: Share of the accepted observations whose point lies behind them.
     max_behind_share: float = 0.001
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
     pair_chance: float = 1e-6
     #: Noise in the scene as a multiple of the noise among four neighbouring views.
-    max_tension: float = 1.1
+    max_tension: float = 1.5
     #: Gain of four neighbouring views left to themselves, a freedom, in units of noise.
     max_near_strain: float = 6.0
     #: The same of ten views.
-    max_far_strain: float = 3.0
+    max_far_strain: float = 4.0
     #: Threads to use; None: all cores. The answer does not depend on it.
     threads: int | None = None
 
@@ -67,7 +67,7 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
     -------
     Consistency
         ``statistics`` holds value and limit of ``noise_rad``, ``noise_over_given`` (with ``sigma_rad`` only),
-        ``misfit_share``, ``rejected_share``, ``behind_share``, ``untied_views``, ``torn_places``, ``tension``,
+        ``misfit_share``, ``behind_share``, ``lost_share``, ``untied_views``, ``torn_places``, ``tension``,
         ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too little to measure.
 
     Raises

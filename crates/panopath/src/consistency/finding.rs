@@ -28,12 +28,12 @@ pub enum Finding {
         /// Share of the accepted observations.
         share: f64,
     },
-    /// More observations rejected than used.
-    Rejected {
-        /// "the scene", or which part.
-        part: String,
-        /// Share of the observations.
-        share: f64,
+    /// Tracks that were seen well and hardly used.
+    Lost {
+        /// How many.
+        lost: usize,
+        /// Of how many.
+        judged: usize,
     },
     /// Points behind the views that accepted them.
     Behind {
@@ -101,8 +101,9 @@ impl fmt::Display for Finding {
             Self::Misfits { part, share } => {
                 write!(f, "{part}: {} of the observations that were used lie far beyond the others", percent(*share))
             }
-            Self::Rejected { part, share } => {
-                write!(f, "{part}: {} of what its views saw was not used, and may show another scene", percent(*share))
+            Self::Lost { lost, judged } => {
+                let share = percent(*lost as f64 / *judged as f64);
+                write!(f, "{share} of the tracks ({lost} of {judged}) fit nowhere: they move, or show another scene")
             }
             Self::Behind { part, share, views } => write!(
                 f,

@@ -7,7 +7,7 @@
 //! observations the scene says it uses (*accepted*):
 //!
 //! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest,
-//!    how many point away from their point, and how many were rejected: a scene that most of it contradicts is none;
+//!    how many point away from their point, and how many tracks were hardly used: they may show another scene;
 //! 2. *ties*: do accepted observations tie every view to its component?
 //! 3. *agreement* ([`pairs`]): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
 //!    stronger chain of pairs that joins the two: the scene is torn there, or folded;
@@ -24,6 +24,7 @@ use crate::tracks::Tracks;
 mod finding;
 mod pairs;
 mod rays;
+mod sets;
 mod windows;
 
 pub use finding::Finding;
@@ -37,19 +38,20 @@ pub struct ConsistencyOptions {
     pub max_noise_rad: f64,
     /// Largest noise as a multiple of the `sigma_rad` of the tracks, where they have any. Default: 1.5.
     pub max_noise_ratio: f64,
-    /// Largest share of accepted observations beyond ten times the noise. Default: 0.01.
+    /// Largest share of accepted observations beyond ten times the noise. Default: 0.05.
     pub max_misfit_share: f64,
-    /// Largest share of observations, of tracks seen more than once, that the scene does not use. Default: 0.5.
-    pub max_rejected_share: f64,
+    /// Largest share of tracks, of those seen five times or more, of which the scene uses less than a third. Default:
+    /// 0.25.
+    pub max_lost_share: f64,
     /// Largest share of accepted observations whose point lies behind them. Default: 0.001.
     pub max_behind_share: f64,
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-6.
     pub pair_chance: f64,
-    /// Largest noise in the scene as a multiple of the noise among four neighbouring views. Default: 1.1.
+    /// Largest noise in the scene as a multiple of the noise among four neighbouring views. Default: 1.5.
     pub max_tension: f64,
     /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
     pub max_near_strain: f64,
-    /// The same of ten views. Default: 3.
+    /// The same of ten views. Default: 4.
     pub max_far_strain: f64,
 }
 
@@ -58,13 +60,13 @@ impl Default for ConsistencyOptions {
         Self {
             max_noise_rad: 5.0_f64.to_radians(),
             max_noise_ratio: 1.5,
-            max_misfit_share: 0.01,
-            max_rejected_share: 0.5,
+            max_misfit_share: 0.05,
+            max_lost_share: 0.25,
             max_behind_share: 0.001,
             pair_chance: 1e-6,
-            max_tension: 1.1,
+            max_tension: 1.5,
             max_near_strain: 6.0,
-            max_far_strain: 3.0,
+            max_far_strain: 4.0,
         }
     }
 }
@@ -135,10 +137,11 @@ pub fn check_consistency<const D: usize, const V: usize>(
     check_limits(options)?;
     let rays = Rays::<D>::new(tracks, scene);
     let mut found = Consistency { findings: Vec::new(), statistics: Vec::new() };
-    let noise = rays.noise();
+    let noise = rays.noise::<V>();
     judge_noise(&rays, &noise, options, &mut found);
+    judge_tracks(&rays, options, &mut found);
+    judge_ties(&rays, &mut found);
     let ties = pairs::count(&rays);
-    judge_ties(&rays, &ties, &mut found);
     judge_agreement(&ties, options, &mut found);
     judge_windows::<D, V>(&rays, &noise, &ties, options, &mut found);
     Ok(found)
@@ -158,7 +161,6 @@ fn judge_noise<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], o: &Consiste
         found.note("noise_over_given", noise.iter().map(|n| n.over_given), o.max_noise_ratio);
     }
     found.note("misfit_share", noise.iter().map(|n| n.misfit_share), o.max_misfit_share);
-    found.note("rejected_share", noise.iter().map(|n| n.rejected_share), o.max_rejected_share);
     found.note("behind_share", noise.iter().map(|n| n.behind_share), o.max_behind_share);
     for (component, n) in noise.iter().enumerate() {
         let part = rays.part_name(component);
@@ -171,22 +173,28 @@ fn judge_noise<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], o: &Consiste
         if n.misfit_share > o.max_misfit_share {
             found.findings.push(Finding::Misfits { part: part.clone(), share: n.misfit_share });
         }
-        if n.rejected_share > o.max_rejected_share {
-            found.findings.push(Finding::Rejected { part: part.clone(), share: n.rejected_share });
-        }
         if n.behind_share > o.max_behind_share {
             found.findings.push(Finding::Behind { part, share: n.behind_share, views: n.views_behind.clone() });
         }
     }
 }
 
-fn judge_ties<const D: usize>(rays: &Rays<'_, D>, ties: &pairs::Ties, found: &mut Consistency) {
-    let loose = pairs::loose_groups(rays, ties);
-    let n_loose: usize = loose.iter().map(|g| g.views.len()).sum();
-    found.note("untied_views", std::iter::once(n_loose as f64), 0.0);
-    found
-        .findings
-        .extend(loose.into_iter().map(|g| Finding::Untied { part: rays.part_name(g.component), views: g.views }));
+fn judge_tracks<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, found: &mut Consistency) {
+    let (judged, lost) = rays.lost_tracks();
+    let share = lost as f64 / judged as f64;
+    found.note("lost_share", std::iter::once(share), o.max_lost_share);
+    if share > o.max_lost_share {
+        found.findings.push(Finding::Lost { lost, judged });
+    }
+}
+
+fn judge_ties<const D: usize>(rays: &Rays<'_, D>, found: &mut Consistency) {
+    let untied = rays.untied_views();
+    let n_untied: usize = untied.iter().map(Vec::len).sum();
+    found.note("untied_views", std::iter::once(n_untied as f64), 0.0);
+    for (component, views) in untied.into_iter().enumerate().filter(|(_, views)| !views.is_empty()) {
+        found.findings.push(Finding::Untied { part: rays.part_name(component), views });
+    }
 }
 
 fn judge_agreement(ties: &pairs::Ties, o: &ConsistencyOptions, found: &mut Consistency) {
@@ -237,7 +245,7 @@ fn check_limits(o: &ConsistencyOptions) -> Result<(), ConsistencyError> {
         ("max_noise_rad", o.max_noise_rad),
         ("max_noise_ratio", o.max_noise_ratio),
         ("max_misfit_share", o.max_misfit_share),
-        ("max_rejected_share", o.max_rejected_share),
+        ("max_lost_share", o.max_lost_share),
         ("max_behind_share", o.max_behind_share),
         ("pair_chance", o.pair_chance),
         ("max_tension", o.max_tension),

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::Finding;
 use super::rays::Rays;
+use super::sets::Sets;
 
 /// Two views that share tracks.
 #[derive(Debug, Clone, Copy)]
@@ -97,56 +98,6 @@ impl Counter {
         let shared = std::mem::take(&mut self.shared[second as usize]);
         Tie { first, second, shared, agreed: std::mem::take(&mut self.agreed[second as usize]) }
     }
-}
-
-/// Sets of views that grow together.
-struct Sets(Vec<u32>);
-
-impl Sets {
-    fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    fn find(&mut self, of: u32) -> u32 {
-        let mut at = of;
-        while self.0[at as usize] != at {
-            self.0[at as usize] = self.0[self.0[at as usize] as usize];
-            at = self.0[at as usize];
-        }
-        at
-    }
-
-    /// The smaller root stays one.
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.find(a), self.find(b));
-        self.0[a.max(b) as usize] = a.min(b);
-    }
-}
-
-/// Views of a component that nothing accepted ties to its largest group.
-pub(super) struct Loose {
-    pub component: usize,
-    pub views: Vec<u32>,
-}
-
-/// Groups of views apart from the largest of their component, ascending by first view.
-pub(super) fn loose_groups<const D: usize>(rays: &Rays<'_, D>, ties: &Ties) -> Vec<Loose> {
-    let mut sets = Sets::new(ties.n_views);
-    ties.ties.iter().filter(|t| t.agreed > 0).for_each(|t| sets.join(t.first, t.second));
-    let mut groups: Vec<Vec<u32>> = vec![Vec::new(); ties.n_views];
-    for i in (0..ties.n_views as u32).filter(|&i| rays.view_component[i as usize] >= 0) {
-        groups[sets.find(i) as usize].push(i);
-    }
-    let mut largest = vec![usize::MAX; rays.n_components];
-    for (g, group) in groups.iter().enumerate().filter(|(_, group)| !group.is_empty()) {
-        let best = &mut largest[rays.view_component[group[0] as usize] as usize];
-        if *best == usize::MAX || group.len() > groups[*best].len() {
-            *best = g;
-        }
-    }
-    let is_loose = |g: &usize, views: &[u32]| !views.is_empty() && !largest.contains(g);
-    let loose = groups.into_iter().enumerate().filter(|(g, views)| is_loose(g, views));
-    loose.map(|(_, views)| Loose { component: rays.view_component[views[0] as usize] as usize, views }).collect()
 }
 
 /// Places where the scene is torn: one finding for each group of pairs that hang together.

@@ -2,7 +2,9 @@
 
 use rayon::prelude::*;
 
+use super::sets::Sets;
 use super::{is_finite, is_known};
+use crate::bundle::noise::sigma_from_chords;
 use crate::geometry::{Vector, add, dot, norm, normalized, scale, sub, tangent_basis};
 use crate::structure::Structure;
 use crate::tracks::Tracks;
@@ -11,8 +13,10 @@ use crate::tracks::Tracks;
 pub(super) const LEAST_NOISE_RAD: f64 = 1e-7;
 /// Accepted observations beyond this many times the noise are misfits.
 const MISFIT_SIGMAS: f64 = 10.0;
-/// Median length of a tangent vector of `D - 1` normal numbers.
-const MEDIAN_LENGTH: [f64; 2] = [0.674_489_750_196, 1.177_410_022_515];
+/// Share of the equations that must be beyond the unknowns before misfits are counted.
+const LEAST_FREE_SHARE: f64 = 0.2;
+/// Sightings from which on a track is judged as a whole: false bearings alone hardly ever take two thirds of so many.
+const OFTEN: usize = 5;
 /// Fewest equations beyond the unknowns from which a noise is estimated.
 pub(super) const LEAST_FREEDOM: f64 = 12.0;
 
@@ -89,8 +93,6 @@ pub(super) struct Noise {
     /// The same over the sigma of the tracks; NaN where they have none.
     pub over_given: f64,
     pub misfit_share: f64,
-    /// Of all observations of tracks that its views saw more than once.
-    pub rejected_share: f64,
     pub behind_share: f64,
     pub views_behind: Vec<u32>,
 }
@@ -171,8 +173,8 @@ impl<'a, const D: usize> Rays<'a, D> {
         Ray { towards, distance, basis, error }
     }
 
-    /// Noise of each component.
-    pub fn noise(&self) -> Vec<Noise> {
+    /// Noise of each component; `V` freedoms a view.
+    pub fn noise<const V: usize>(&self) -> Vec<Noise> {
         let sums = self.sums();
         let mut lengths: Vec<Vec<f64>> = vec![Vec::new(); self.n_components];
         let mut behind: Vec<Vec<u32>> = vec![Vec::new(); self.n_components];
@@ -182,28 +184,38 @@ impl<'a, const D: usize> Rays<'a, D> {
             lengths[c].extend(of_view);
             behind[c].extend(std::iter::repeat_n(i as u32, *n_behind as usize));
         }
-        let (unknowns, told) = (self.unknowns(), self.told());
-        (0..self.n_components)
-            .map(|c| {
-                let used = lengths[c].len() as f64;
-                let noise = self.noise_of(std::mem::take(&mut lengths[c]), std::mem::take(&mut behind[c]), unknowns[c]);
-                Noise { rejected_share: 1.0 - used / told[c], ..noise }
-            })
-            .collect()
+        let unknowns = self.unknowns();
+        lengths.into_iter().zip(behind).zip(unknowns).map(|((l, b), u)| self.noise_of::<V>(l, b, u)).collect()
     }
 
-    /// Observations by the views of each component, of tracks that they saw more than once.
-    fn told(&self) -> Vec<f64> {
-        let mut told = vec![0.0; self.n_components];
-        for j in 0..self.tracks.n_tracks() {
-            let seen = self.sightings(j);
-            let component = |s: &(u32, bool)| self.view_component[s.0 as usize];
-            for sighting in seen {
-                let is_alone = seen.iter().filter(|other| component(other) == component(sighting)).nth(1).is_none();
-                told[component(sighting) as usize] += if is_alone { 0.0 } else { 1.0 };
+    /// Views of each component that accepted observations do not tie to the largest group of its views.
+    pub fn untied_views(&self) -> Vec<Vec<u32>> {
+        let n_views = self.tracks.n_views();
+        // views, then tracks
+        let mut sets = Sets::new(n_views + self.tracks.n_tracks());
+        for o in (0..self.tracks.len()).filter(|&o| self.accepted[o]) {
+            sets.join(self.tracks.view()[o], n_views as u32 + self.tracks.track()[o]);
+        }
+        let mut size = vec![0u32; n_views];
+        let root: Vec<usize> = (0..n_views as u32).map(|i| sets.find(i) as usize).collect();
+        root.iter().for_each(|&g| size[g] += 1);
+        let mut largest = vec![usize::MAX; self.n_components];
+        for i in 0..n_views {
+            let Ok(c) = usize::try_from(self.view_component[i]) else { continue };
+            if largest[c] == usize::MAX || size[root[i]] > size[largest[c]] {
+                largest[c] = root[i];
             }
         }
-        told
+        let untied =
+            |c: usize, i: &u32| self.view_component[*i as usize] == c as i32 && root[*i as usize] != largest[c];
+        (0..self.n_components).map(|c| (0..n_views as u32).filter(|i| untied(c, i)).collect()).collect()
+    }
+
+    /// How many tracks were seen often enough to be judged, and how many of them the scene hardly uses.
+    pub fn lost_tracks(&self) -> (usize, usize) {
+        let often = (0..self.tracks.n_tracks()).map(|j| self.sightings(j)).filter(|seen| seen.len() >= OFTEN);
+        let is_lost = |seen: &[(u32, bool)]| 3 * seen.iter().filter(|s| s.1).count() < seen.len();
+        (often.clone().count(), often.filter(|seen| is_lost(seen)).count())
     }
 
     /// Lengths of the weighted residuals of each view, and how many of them point away.
@@ -222,40 +234,58 @@ impl<'a, const D: usize> Rays<'a, D> {
         (0..self.tracks.n_views()).into_par_iter().map(of_view).collect()
     }
 
-    /// Numbers that were fitted to the accepted observations of each component.
-    fn unknowns(&self) -> Vec<f64> {
-        let mut unknowns = vec![0.0; self.n_components];
+    /// What was fitted to the accepted observations of each component.
+    fn unknowns(&self) -> Vec<Unknowns> {
+        let mut unknowns = vec![Unknowns::default(); self.n_components];
         for j in 0..self.tracks.n_tracks() {
-            if self.by_track.of(j).iter().any(|&o| self.accepted[o as usize]) {
-                unknowns[self.scene.track_component[j] as usize] += D as f64;
+            if self.sightings(j).iter().any(|s| s.1) {
+                unknowns[self.scene.track_component[j] as usize].points += 1;
             }
         }
         for &c in self.view_component.iter().filter(|&&c| c >= 0) {
-            unknowns[c as usize] += D as f64;
+            unknowns[c as usize].views += 1;
         }
         unknowns
     }
 
-    fn noise_of(&self, mut lengths: Vec<f64>, behind: Vec<u32>, unknowns: f64) -> Noise {
-        let n = lengths.len() as f64;
-        let freedom = n * (D - 1) as f64 - unknowns;
-        let share_of = |count: usize| count as f64 / n;
-        let behind_share = share_of(behind.len());
+    fn noise_of<const V: usize>(&self, mut lengths: Vec<f64>, behind: Vec<u32>, unknowns: Unknowns) -> Noise {
+        let n = lengths.len();
+        let equations = (n * (D - 1)) as f64;
+        let freedom = equations - unknowns.fitted::<D>(D);
+        let behind_share = behind.len() as f64 / n as f64;
         let mut views_behind = behind;
         views_behind.dedup();
+        let mut noise =
+            Noise { sigma_rad: f64::NAN, over_given: f64::NAN, misfit_share: f64::NAN, behind_share, views_behind };
         if freedom < LEAST_FREEDOM {
-            let (sigma_rad, over_given) = (f64::NAN, f64::NAN);
-            let misfit_share = f64::NAN;
-            return Noise { sigma_rad, over_given, misfit_share, rejected_share: f64::NAN, behind_share, views_behind };
+            return noise;
         }
-        let sigma_rad = (lengths.iter().map(|l| l * l).sum::<f64>() / freedom).sqrt();
-        let over_given = if self.has_sigma() { sigma_rad / self.median_sigma } else { f64::NAN };
-        let middle = lengths.len() / 2;
-        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let typical = (median / MEDIAN_LENGTH[D - 2]).max(LEAST_NOISE_RAD);
-        let misfits = lengths.iter().filter(|&&l| l > MISFIT_SIGMAS * typical).count();
-        let misfit_share = share_of(misfits);
-        Noise { sigma_rad, over_given, misfit_share, rejected_share: f64::NAN, behind_share, views_behind }
+        noise.sigma_rad = (lengths.iter().map(|l| l * l).sum::<f64>() / freedom).sqrt();
+        if self.has_sigma() {
+            noise.over_given = noise.sigma_rad / self.median_sigma;
+        }
+        // where nearly all is fitted, orientations perhaps too, most residuals vanish, and the others are no misfits
+        let most = unknowns.fitted::<D>(V);
+        if equations - most > LEAST_FREE_SHARE * equations {
+            let typical = sigma_from_chords::<D>(&mut lengths, n, most as usize).max(LEAST_NOISE_RAD);
+            let misfits = lengths.iter().filter(|&&l| l > MISFIT_SIGMAS * typical).count();
+            noise.misfit_share = misfits as f64 / n as f64;
+        }
+        noise
+    }
+}
+
+/// Views and points of a component.
+#[derive(Clone, Copy, Default)]
+struct Unknowns {
+    views: usize,
+    points: usize,
+}
+
+impl Unknowns {
+    /// Numbers fitted, so many of each view.
+    fn fitted<const D: usize>(self, of_view: usize) -> f64 {
+        (of_view * self.views + D * self.points) as f64
     }
 }
 

@@ -441,7 +441,7 @@ pub(super) fn strained(windows: &[Window], limit: f64) -> Vec<Finding> {
         let mut worst = window;
         let (touched, apart) = groups.into_iter().partition(|(g, _)| g.iter().any(|i| views.binary_search(i).is_ok()));
         groups = apart;
-        for (more, other) in Vec::from(touched) {
+        for (more, other) in touched {
             views.extend(more);
             worst = if other.strain() > worst.strain() { other } else { worst };
         }
