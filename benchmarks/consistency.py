@@ -1,8 +1,8 @@
 """The consistency gate on 200 reconstructions, half of them broken on purpose: ``python -m benchmarks.consistency``.
 
-Every reconstruction is panopath's own, on a world with known truth. It counts as broken only where its cameras err by more
-than five times what the solver reaches from the truth on the same noise; where the solver resisted the sabotage, the
-scene counts as right. Seeds from 1000 on were never looked at while limits were chosen.
+Every reconstruction is panopath's own, on a world with known truth. It counts as broken only where its cameras err by
+more than five times what the solver reaches from the truth on the same noise. Where a solver resisted the sabotage, or
+failed without any, the scene is listed apart. Seeds from 2000 on were never looked at while limits were chosen.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import panopath as pp
 from panopath.formats.structure import known_scene
-from panopath.model import Float, InputError, Int, Scene, Tracks
+from panopath.model import Float, InputError, Int, Method, Scene, Tracks
 from panopath.synthetic import SyntheticWorld
 
 #: A camera error beyond this many times the optimum is a broken scene.
 BROKEN_RATIO = 5.0
 #: First seed of the set that is reported.
-FRESH_SEED = 1000
+FRESH_SEED = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ def wrong_closure(rng: np.random.Generator, seed: int) -> Reconstruction:
 
 
 def flipped(rng: np.random.Generator, seed: int) -> Reconstruction:
-    """A part of the scene has its scale flipped, or another scale than the rest."""
+    """Flip the scale of a part of the scene, or make it another than that of the rest."""
     free = bool(rng.random() < 0.5)
     factor = float(rng.choice([-1.0, -1.0, 0.3, 3.0]))
     if rng.random() < 0.5:
@@ -237,7 +237,7 @@ def flipped(rng: np.random.Generator, seed: int) -> Reconstruction:
             n_views=40,
             n_points=800,
             n_clusters=2,
-            n_links=int(rng.integers(1, 8)),
+            n_links=int(rng.integers(8, 25)),
             seed=seed,
             noise_rad=radians(0.05),
             orientations="random",
@@ -277,7 +277,7 @@ def flipped(rng: np.random.Generator, seed: int) -> Reconstruction:
 
 
 def mis_oriented(rng: np.random.Generator, seed: int) -> Reconstruction:
-    """A run of views is turned, and the solver believes it."""
+    """Turn a run of views, and let the solver believe it."""
     world, name = draw_world(rng, seed)
     n = world.tracks.n_views
     length = int(rng.integers(max(2, n // 20), max(3, n // 4)))
@@ -285,7 +285,7 @@ def mis_oriented(rng: np.random.Generator, seed: int) -> Reconstruction:
     angle = radians(float(np.exp(rng.uniform(np.log(0.5), np.log(30.0)))))
     orientations = np.array(world.cam_from_world)
     orientations[begin : begin + length] = turned(orientations[begin : begin + length], rng, angle)
-    method = "linear" if rng.random() < 0.25 else "robust"
+    method: Method = "linear" if rng.random() < 0.25 else "robust"
     scene = pp.solve_positions(world.tracks, orientations, pp.PositionOptions(method=method))
     return judged(
         f"{length} views off by {np.degrees(angle):.1f} deg, {name}, {method}", world.tracks, scene, world, free=False
@@ -314,7 +314,8 @@ def structured_outliers(rng: np.random.Generator, seed: int) -> Reconstruction:
     if how == "unknown":
         scene = pp.reconstruct_tracks(tracks)
     else:
-        scene = pp.solve_positions(tracks, world.cam_from_world, pp.PositionOptions(method=how))
+        method: Method = "linear" if how == "linear" else "robust"
+        scene = pp.solve_positions(tracks, world.cam_from_world, pp.PositionOptions(method=method))
     return judged(f"40 % {kind}, {name}, {how}", tracks, scene, world, free=how == "unknown")
 
 
@@ -334,7 +335,7 @@ def ghosted(world: SyntheticWorld, rng: np.random.Generator) -> Tracks:
 
 
 def noisy(direction: Float, noise_rad: float, rng: np.random.Generator) -> Float:
-    """Unit vectors along these directions, with noise along each tangent."""
+    """Make unit vectors of directions, with noise along each tangent."""
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     off = unit + noise_rad * rng.normal(size=unit.shape)
     return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
@@ -413,7 +414,7 @@ def judge(n_each: int, first_seed: int) -> tuple[dict[str, Count], Counter[str],
 
 
 def row_of(kind: str, made: Reconstruction) -> str:
-    """The row of the table that a scene belongs to."""
+    """Name the row of the table that a scene belongs to."""
     if kind == "right":
         return "right" if made.ratio <= RIGHT_RATIO else "not sabotaged, yet broken or disturbed"
     if made.is_broken:

@@ -62,6 +62,7 @@ fn read_options(options: &Bound<'_, PyDict>) -> PyResult<(ConsistencyOptions, Op
             "max_misfit_share" => parsed.max_misfit_share = value.extract()?,
             "max_lost_share" => parsed.max_lost_share = value.extract()?,
             "max_behind_share" => parsed.max_behind_share = value.extract()?,
+            "max_unplaced_share" => parsed.max_unplaced_share = value.extract()?,
             "pair_chance" => parsed.pair_chance = value.extract()?,
             "max_tension" => parsed.max_tension = value.extract()?,
             "max_near_strain" => parsed.max_near_strain = value.extract()?,

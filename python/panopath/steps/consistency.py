@@ -1,4 +1,4 @@
-"""The consistency gate: does a scene that converged look like a right one?"""
+"""The consistency gate: whether a scene that converged looks like a right one."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ class ConsistencyOptions:
     max_lost_share: float = 0.25
     #: Share of the accepted observations whose point lies behind them.
     max_behind_share: float = 0.001
+    #: Share of views without a position, though they see twenty points of the scene or more.
+    max_unplaced_share: float = 0.05
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
     pair_chance: float = 1e-6
-    #: Noise in the scene as a multiple of the noise among four neighbouring views.
-    max_tension: float = 1.5
+    #: Noise in the scene as a multiple of the noise among ten neighbouring views.
+    max_tension: float = 1.08
     #: Gain of four neighbouring views left to themselves, a freedom, in units of noise.
     max_near_strain: float = 6.0
     #: The same of ten views.
@@ -50,7 +52,7 @@ class ConsistencyOptions:
 def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions | None = None) -> Consistency:
     """Look for what a scene shows only if it is wrong, though its solver converged; d = 2 or 3.
 
-    A wrong scene cannot fit everything: it shows in which observations were rejected, and in how the accepted ones miss.
+    A wrong scene cannot fit everything: it shows in which observations were rejected, and in how the others miss.
     Residuals are computed here, so the scene may come from any solver; its ``inlier`` says what that solver used.
 
     Parameters
@@ -67,8 +69,8 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
     -------
     Consistency
         ``statistics`` holds value and limit of ``noise_rad``, ``noise_over_given`` (with ``sigma_rad`` only),
-        ``misfit_share``, ``behind_share``, ``lost_share``, ``untied_views``, ``torn_places``, ``tension``,
-        ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too little to measure.
+        ``misfit_share``, ``behind_share``, ``lost_share``, ``unplaced_share``, ``untied_views``, ``torn_places``,
+        ``tension``, ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too little to measure.
 
     Raises
     ------

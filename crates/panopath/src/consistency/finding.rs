@@ -51,6 +51,11 @@ pub enum Finding {
         /// The views.
         views: Vec<u32>,
     },
+    /// Views that see much of the scene and have no place in it.
+    Unplaced {
+        /// The views.
+        views: Vec<u32>,
+    },
     /// Views that share tracks which do not fit both.
     Torn {
         /// The views on one side.
@@ -64,7 +69,7 @@ pub enum Finding {
         /// The same in the whole scene.
         elsewhere: f64,
     },
-    /// Neighbouring views fit better among themselves, everywhere.
+    /// Neighbouring views fit better among themselves than in the scene, everywhere.
     Tension {
         /// "the scene", or which part.
         part: String,
@@ -113,6 +118,9 @@ impl fmt::Display for Finding {
             ),
             Self::Untied { part, views } => {
                 write!(f, "{part}: no observation that was used ties {} to the rest", name_views(views))
+            }
+            Self::Unplaced { views } => {
+                write!(f, "{} see much of the scene, yet found no place in it", name_views(views))
             }
             Self::Torn { first, second, shared, share, elsewhere } => {
                 let sides = if second.is_empty() {

@@ -8,7 +8,7 @@
 //!
 //! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest,
 //!    how many point away from their point, and how many tracks were hardly used: they may show another scene;
-//! 2. *ties*: do accepted observations tie every view to its component?
+//! 2. *ties*: do accepted observations tie every view to its component, and does it have all views it could have?
 //! 3. *agreement* ([`pairs`]): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
 //!    stronger chain of pairs that joins the two: the scene is torn there, or folded;
 //! 4. *tension* and 5. *strain* ([`windows`]): a few neighbouring views are adjusted by themselves, one linear step. Where
@@ -45,9 +45,11 @@ pub struct ConsistencyOptions {
     pub max_lost_share: f64,
     /// Largest share of accepted observations whose point lies behind them. Default: 0.001.
     pub max_behind_share: f64,
+    /// Largest share of views without a position, though they see twenty points of the scene or more. Default: 0.05.
+    pub max_unplaced_share: f64,
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-6.
     pub pair_chance: f64,
-    /// Largest noise in the scene as a multiple of the noise among four neighbouring views. Default: 1.5.
+    /// Largest noise in the scene as a multiple of the noise among ten neighbouring views. Default: 1.08.
     pub max_tension: f64,
     /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
     pub max_near_strain: f64,
@@ -63,8 +65,9 @@ impl Default for ConsistencyOptions {
             max_misfit_share: 0.05,
             max_lost_share: 0.25,
             max_behind_share: 0.001,
+            max_unplaced_share: 0.05,
             pair_chance: 1e-6,
-            max_tension: 1.5,
+            max_tension: 1.08,
             max_near_strain: 6.0,
             max_far_strain: 4.0,
         }
@@ -140,6 +143,7 @@ pub fn check_consistency<const D: usize, const V: usize>(
     let noise = rays.noise::<V>();
     judge_noise(&rays, &noise, options, &mut found);
     judge_tracks(&rays, options, &mut found);
+    judge_views(&rays, options, &mut found);
     judge_ties(&rays, &mut found);
     let ties = pairs::count(&rays);
     judge_agreement(&ties, options, &mut found);
@@ -188,6 +192,16 @@ fn judge_tracks<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, foun
     }
 }
 
+fn judge_views<const D: usize>(rays: &Rays<'_, D>, o: &ConsistencyOptions, found: &mut Consistency) {
+    let unplaced = rays.unplaced_views();
+    let n_seeing = rays.n_seeing_views();
+    let share = if n_seeing > 0 { unplaced.len() as f64 / n_seeing as f64 } else { f64::NAN };
+    found.note("unplaced_share", std::iter::once(share), o.max_unplaced_share);
+    if share > o.max_unplaced_share {
+        found.findings.push(Finding::Unplaced { views: unplaced });
+    }
+}
+
 fn judge_ties<const D: usize>(rays: &Rays<'_, D>, found: &mut Consistency) {
     let untied = rays.untied_views();
     let n_untied: usize = untied.iter().map(Vec::len).sum();
@@ -212,7 +226,7 @@ fn judge_windows<const D: usize, const V: usize>(
 ) {
     let near = windows::adjust::<D, V>(rays, ties, windows::NEAR);
     let far = windows::adjust::<D, V>(rays, ties, windows::FAR);
-    let tension = windows::tension(rays, noise, &near);
+    let tension = windows::tension(rays, noise, &far);
     found.note("tension", tension.iter().map(|t| t.ratio()), o.max_tension);
     for (component, t) in tension.iter().enumerate().filter(|(_, t)| t.ratio() > o.max_tension) {
         let part = rays.part_name(component);
@@ -247,6 +261,7 @@ fn check_limits(o: &ConsistencyOptions) -> Result<(), ConsistencyError> {
         ("max_misfit_share", o.max_misfit_share),
         ("max_lost_share", o.max_lost_share),
         ("max_behind_share", o.max_behind_share),
+        ("max_unplaced_share", o.max_unplaced_share),
         ("pair_chance", o.pair_chance),
         ("max_tension", o.max_tension),
         ("max_near_strain", o.max_near_strain),

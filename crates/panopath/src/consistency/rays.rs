@@ -15,6 +15,8 @@ pub(super) const LEAST_NOISE_RAD: f64 = 1e-7;
 const MISFIT_SIGMAS: f64 = 10.0;
 /// Share of the equations that must be beyond the unknowns before misfits are counted.
 const LEAST_FREE_SHARE: f64 = 0.2;
+/// Points that a view must see before it is missed.
+const PLACEABLE: usize = 20;
 /// Sightings from which on a track is judged as a whole: false bearings alone hardly ever take two thirds of so many.
 const OFTEN: usize = 5;
 /// Fewest equations beyond the unknowns from which a noise is estimated.
@@ -209,6 +211,24 @@ impl<'a, const D: usize> Rays<'a, D> {
         let untied =
             |c: usize, i: &u32| self.view_component[*i as usize] == c as i32 && root[*i as usize] != largest[c];
         (0..self.n_components).map(|c| (0..n_views as u32).filter(|i| untied(c, i)).collect()).collect()
+    }
+
+    /// Views without a position that see points of the scene well enough to have one.
+    pub fn unplaced_views(&self) -> Vec<u32> {
+        let mut n_seen = vec![0usize; self.tracks.n_views()];
+        for (&i, &j) in self.tracks.view().iter().zip(self.tracks.track()) {
+            let is_placed = self.scene.track_component[j as usize] >= 0 && is_finite(&self.scene.points[j as usize]);
+            n_seen[i as usize] += usize::from(is_placed);
+        }
+        let views = 0..self.tracks.n_views();
+        views.filter(|&i| self.view_component[i] < 0 && n_seen[i] >= PLACEABLE).map(|i| i as u32).collect()
+    }
+
+    /// Views with any observation; none where nothing has a position.
+    pub fn n_seeing_views(&self) -> usize {
+        let mut sees = vec![false; self.tracks.n_views()];
+        self.tracks.view().iter().for_each(|&i| sees[i as usize] = self.n_components > 0);
+        sees.iter().filter(|&&s| s).count()
     }
 
     /// How many tracks were seen often enough to be judged, and how many of them the scene hardly uses.

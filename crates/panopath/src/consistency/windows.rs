@@ -11,7 +11,7 @@
 //!
 //! with a ridge `r` of a millionth of the diagonal, which takes gauge and whatever else is open out of both `gain` and
 //! `freedoms`. Orientations are free, held or not in the scene. A right scene gains at most one unit of noise a freedom:
-//! an F statistic. The noise of all small windows together is what the bearings have where nothing pulls, whatever the
+//! an F statistic. The noise of all larger windows together is what the bearings have where nothing pulls, whatever the
 //! scene as a whole looks like; `tension` is what they miss by in the scene over that.
 //! Shapes: `J` is `(D - 1) n x V m` for `m` views.
 
@@ -405,7 +405,10 @@ fn forward(factor: &[f64], n: usize, first: usize, x: &mut [f64]) {
     }
 }
 
-/// Noise of a component in the scene, and of its small windows by themselves.
+/// With fewer equations left over, chance alone may put two noises this far apart.
+const LEAST_TENSION_FREEDOM: f64 = 200.0;
+
+/// Noise of a component in the scene, and of its windows by themselves.
 #[derive(Clone, Copy)]
 pub(super) struct Tension {
     pub alone_rad: f64,
@@ -420,14 +423,14 @@ impl Tension {
 }
 
 /// Tension of each component.
-pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], near: &[Window]) -> Vec<Tension> {
+pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], windows: &[Window]) -> Vec<Tension> {
     let of_component = |c: usize| {
-        let own = near.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
+        let own = windows.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
         let (left, freedom) = own.fold((0.0, 0.0), |(left, freedom), w| {
             (left + (w.squares - w.gain).max(0.0), freedom + w.equations - w.freedoms)
         });
         let floor = |sigma: f64| if sigma.is_nan() { sigma } else { sigma.max(LEAST_NOISE_RAD) };
-        let alone_rad = if freedom > 0.0 { floor((left / freedom).sqrt()) } else { f64::NAN };
+        let alone_rad = if freedom >= LEAST_TENSION_FREEDOM { floor((left / freedom).sqrt()) } else { f64::NAN };
         Tension { alone_rad, scene_rad: floor(noise[c].sigma_rad) }
     };
     (0..rays.n_components).map(of_component).collect()
@@ -457,4 +460,71 @@ pub(super) fn strained(windows: &[Window], limit: f64) -> Vec<Finding> {
         alone_rad: worst.alone_squared().sqrt(),
     };
     groups.into_iter().map(finding).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Rotation, scale, sub};
+
+    /// Change of both components of the residual as the view moves and its rays turn, by central differences.
+    fn by_differences<const D: usize, const V: usize>(ray: &Ray<D>) -> [[f64; V]; 2] {
+        let step = 1e-6;
+        let mut columns = [[0.0; V]; 2];
+        for v in 0..V {
+            let residual = |by: f64| -> [f64; 2] {
+                let mut apart = scale(ray.distance, &ray.towards);
+                let mut seen = ray.towards;
+                if v < D {
+                    // the centre moves back, so that the point seems to move on
+                    apart[v] += by;
+                } else {
+                    let mut turn = [0.0; 3];
+                    turn[v - D] = by;
+                    seen = Rotation::<D>::exp_of(&turn).apply(&seen);
+                }
+                let off = if v < D { sub(&normalized(&apart), &ray.towards) } else { sub(&seen, &ray.towards) };
+                [dot(&ray.basis[0], &off), dot(&ray.basis[1], &off)]
+            };
+            let (ahead, back) = (residual(step), residual(-step));
+            for k in 0..D - 1 {
+                columns[k][v] = (ahead[k] - back[k]) / (2.0 * step);
+            }
+        }
+        columns
+    }
+
+    fn check_columns<const D: usize, const V: usize>(towards: Vector<D>) {
+        let towards = normalized(&towards);
+        let ray = Ray { towards, distance: 2.5, basis: tangent_basis(&towards), error: [0.0; 2] };
+        let expected = by_differences::<D, V>(&ray);
+        for k in 0..D - 1 {
+            let found: [f64; V] = view_columns(&ray.basis[k], &ray);
+            for v in 0..V {
+                assert!((found[v] - expected[k][v]).abs() < 1e-8, "component {k} by freedom {v}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn columns_are_derivatives() {
+        check_columns::<3, 6>([0.3, -0.5, 0.7]);
+        check_columns::<2, 3>([-0.4, 0.2]);
+    }
+
+    #[test]
+    fn the_factor_reproduces_the_matrix() {
+        let full = [[4.0, 2.0, 0.6], [2.0, 5.0, 1.0], [0.6, 1.0, 3.0]];
+        let mut lower: Vec<f64> = full.as_flattened().to_vec();
+        assert_eq!(factor(&mut lower, 3), Some(()));
+        let mut x = [1.0, 2.0, 3.0];
+        forward(&lower, 3, 0, &mut x);
+        for r in 0..3 {
+            let back: f64 = (0..=r).map(|c| lower[3 * r + c] * x[c]).sum();
+            assert!((back - (r + 1) as f64).abs() < 1e-14);
+            let product: f64 = (0..=r).map(|c| lower[3 * r + c] * lower[3 * r + c]).sum();
+            assert!((product - full[r][r]).abs() < 1e-14);
+        }
+        assert_eq!(factor(&mut [1.0, 0.0, 2.0, 1.0], 2), None);
+    }
 }
