@@ -31,7 +31,7 @@ class ConsistencyOptions:
     #: Share of views without a position, though they see twenty points of the scene or more.
     max_unplaced_share: float = 0.05
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
-    pair_chance: float = 1e-6
+    pair_chance: float = 1e-4
     #: Noise in the scene as a multiple of the noise among ten neighbouring views.
     max_tension: float = 1.08
     #: Gain of four neighbouring views left to themselves, a freedom, in units of noise.
@@ -70,7 +70,8 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
     Consistency
         ``statistics`` holds value and limit of ``noise_rad``, ``noise_over_given`` (with ``sigma_rad`` only),
         ``misfit_share``, ``behind_share``, ``lost_share``, ``unplaced_share``, ``untied_views``, ``torn_places``,
-        ``tension``, ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too little to measure.
+        ``tension``, ``near_strain`` and ``far_strain``, each of the worst component; NaN where there is too
+        little to measure.
 
     Raises
     ------

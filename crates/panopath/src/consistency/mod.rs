@@ -47,7 +47,7 @@ pub struct ConsistencyOptions {
     pub max_behind_share: f64,
     /// Largest share of views without a position, though they see twenty points of the scene or more. Default: 0.05.
     pub max_unplaced_share: f64,
-    /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-6.
+    /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-4.
     pub pair_chance: f64,
     /// Largest noise in the scene as a multiple of the noise among ten neighbouring views. Default: 1.08.
     pub max_tension: f64,
@@ -66,7 +66,7 @@ impl Default for ConsistencyOptions {
             max_lost_share: 0.25,
             max_behind_share: 0.001,
             max_unplaced_share: 0.05,
-            pair_chance: 1e-6,
+            pair_chance: 1e-4,
             max_tension: 1.08,
             max_near_strain: 6.0,
             max_far_strain: 4.0,

@@ -5,6 +5,7 @@
 //! `n KL(a / n, 0.85 p) > ln(pairs / chance)`: Chernoff's bound on the chance of so few, for each pair on its own. Such a pair may be
 //! two places that look alike, rightly told apart. It is held against the scene only where what was rejected, `p n - a`
 //! tracks, outweighs what the scene follows instead: no chain of pairs joins the two views each of which has accepted more.
+//! Where parts are joined by scattered tracks no pair shares enough to tell; then groups of views stand in for views.
 
 use rayon::prelude::*;
 
@@ -38,6 +39,8 @@ const MOST_NEIGHBOURS: usize = 9;
 const LONGEST_TRACK: usize = 64;
 /// Fewer tracks shared are no evidence.
 const LEAST_SHARED: u32 = 8;
+/// Tracks that two views must agree on to hang together firmly.
+const FIRM: u32 = 8;
 /// Share of the scene's agreement that a pair may have without notice.
 const MARGIN: f64 = 0.85;
 
@@ -101,18 +104,54 @@ impl Counter {
 }
 
 /// Places where the scene is torn: one finding for each group of pairs that hang together.
+///
+/// Pairs of views first; where these share too little to tell, groups of views that hang together firmly.
 pub(super) fn tears(ties: &Ties, chance: f64) -> Vec<Finding> {
     let usable = ties.ties.iter().filter(|t| t.shared >= LEAST_SHARED);
-    let sums = usable.clone().fold([0u64; 3], |[pairs, shared, agreed], t| {
-        [pairs + 1, shared + u64::from(t.shared), agreed + u64::from(t.agreed)]
-    });
-    let [n_pairs, shared, agreed] = sums.map(|s| s as f64);
-    let elsewhere = agreed / shared.max(1.0);
-    let bound = (n_pairs / chance).ln();
+    let (shared, agreed) =
+        usable.fold((0, 0), |(shared, agreed), t| (shared + u64::from(t.shared), agreed + u64::from(t.agreed)));
+    let elsewhere = agreed as f64 / shared.max(1) as f64;
+    let mut findings = group(ties.n_views, &guilty(ties, elsewhere, chance), elsewhere);
+    if findings.is_empty() {
+        let (firm, members) = between_firm_groups(ties);
+        findings = group(ties.n_views, &guilty(&firm, elsewhere, chance), elsewhere);
+        for finding in &mut findings {
+            if let Finding::Torn { first, second, .. } = finding {
+                for side in [first, second] {
+                    *side = side.iter().flat_map(|&g| members[g as usize].iter().copied()).collect();
+                    side.sort_unstable();
+                }
+            }
+        }
+    }
+    findings
+}
+
+/// Pairs that agree too seldom, and outweigh what the scene follows instead.
+fn guilty(ties: &Ties, elsewhere: f64, chance: f64) -> Vec<Tie> {
+    let usable = ties.ties.iter().filter(|t| t.shared >= LEAST_SHARED);
+    let bound = (usable.clone().count() as f64 / chance).ln();
     let suspects = usable.filter(|t| surprise(t, MARGIN * elsewhere) > bound);
     let rejected = |t: &Tie| elsewhere * f64::from(t.shared) - f64::from(t.agreed);
-    let guilty = unoutweighed(ties, suspects.map(|t| (*t, rejected(t))).collect());
-    group(ties.n_views, &guilty, elsewhere)
+    unoutweighed(ties, suspects.map(|t| (*t, rejected(t))).collect())
+}
+
+/// Views joined by pairs that agree on `FIRM` tracks, named by the first of them; ties summed over pairs between groups.
+fn between_firm_groups(ties: &Ties) -> (Ties, Vec<Vec<u32>>) {
+    let mut sets = Sets::new(ties.n_views);
+    ties.ties.iter().filter(|t| t.agreed >= FIRM).for_each(|t| sets.join(t.first, t.second));
+    let mut members = vec![Vec::new(); ties.n_views];
+    (0..ties.n_views as u32).for_each(|i| members[sets.find(i) as usize].push(i));
+    let mut sums: std::collections::BTreeMap<(u32, u32), (u32, u32)> = std::collections::BTreeMap::new();
+    for t in &ties.ties {
+        let (a, b) = (sets.find(t.first), sets.find(t.second));
+        if a != b {
+            let sum = sums.entry((a.min(b), a.max(b))).or_default();
+            *sum = (sum.0 + t.shared, sum.1 + t.agreed);
+        }
+    }
+    let of_groups = sums.into_iter().map(|((first, second), (shared, agreed))| Tie { first, second, shared, agreed });
+    (Ties { n_views: ties.n_views, ties: of_groups.collect(), neighbours: Vec::new() }, members)
 }
 
 /// Chernoff's bound: `-ln` of the chance of so few agreements where each has probability `expected`.
