@@ -426,11 +426,17 @@ impl Tension {
 pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], windows: &[Window]) -> Vec<Tension> {
     let of_component = |c: usize| {
         let own = windows.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
-        let (left, freedom) = own.fold((0.0, 0.0), |(left, freedom), w| {
+        let (left, freedom) = own.clone().fold((0.0, 0.0), |(left, freedom), w| {
             (left + (w.squares - w.gain).max(0.0), freedom + w.equations - w.freedoms)
         });
+        let mut covered: Vec<u32> = own.flat_map(|w| w.views.iter().copied()).collect();
+        covered.sort_unstable();
+        covered.dedup();
+        // windows over a corner of the scene have the noise of that corner
+        let n_views = rays.view_component.iter().filter(|&&v| v == c as i32).count();
+        let is_enough = freedom >= LEAST_TENSION_FREEDOM && 2 * covered.len() > n_views;
         let floor = |sigma: f64| if sigma.is_nan() { sigma } else { sigma.max(LEAST_NOISE_RAD) };
-        let alone_rad = if freedom >= LEAST_TENSION_FREEDOM { floor((left / freedom).sqrt()) } else { f64::NAN };
+        let alone_rad = if is_enough { floor((left / freedom).sqrt()) } else { f64::NAN };
         Tension { alone_rad, scene_rad: floor(noise[c].sigma_rad) }
     };
     (0..rays.n_components).map(of_component).collect()
