@@ -9,9 +9,9 @@
 //! 1. *noise*: their rms, against a bound and against the `sigma_rad` of the tracks; how many lie far beyond the rest,
 //!    how many point away from their point, and how many tracks were hardly used: they may show another scene;
 //! 2. *ties*: do accepted observations tie every view to its component, and does it have all views it could have?
-//! 3. *agreement* ([`pairs`]): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
+//! 3. *agreement* (`pairs`): of the tracks that two views share, how many fit both? Far fewer than elsewhere, and no
 //!    stronger chain of pairs that joins the two: the scene is torn there, or folded;
-//! 4. *tension* and 5. *strain* ([`windows`]): a few neighbouring views are adjusted by themselves, one linear step. Where
+//! 4. *tension* and 5. *strain* (`windows`): a few neighbouring views are adjusted by themselves, one linear step. Where
 //!    nothing pulls at them, they gain no more than their freedoms take from noise.
 //!
 //! Shapes: `N` observations, `V` freedoms of a view (3 in the plane, 6 in space). Cost and memory are linear in `N`.
