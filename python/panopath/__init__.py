@@ -43,6 +43,7 @@ from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
     CertifyOptions,
+    ConsistencyOptions,
     CorrespondenceOptions,
     FeatureTracks,
     HeadingOptions,
@@ -61,6 +62,7 @@ from panopath.steps import (
     ViewPairs,
     average_rotations,
     certify,
+    check_consistency,
     find_headings,
     fit_rotations,
     mean_motion,
@@ -84,6 +86,7 @@ __all__ = [
     "Certificate",
     "CertifyOptions",
     "Consistency",
+    "ConsistencyOptions",
     "Control",
     "CorrespondenceOptions",
     "Database",
@@ -130,6 +133,7 @@ __all__ = [
     "__version__",
     "average_rotations",
     "certify",
+    "check_consistency",
     "evaluate",
     "find_headings",
     "fit_rotations",

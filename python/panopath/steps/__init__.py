@@ -1,6 +1,7 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
 from panopath.steps.certificate import CertifyOptions, certify
+from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
@@ -24,6 +25,7 @@ from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
     "CertifyOptions",
+    "ConsistencyOptions",
     "CorrespondenceOptions",
     "FeatureTracks",
     "HeadingOptions",
@@ -42,6 +44,7 @@ __all__ = [
     "ViewPairs",
     "average_rotations",
     "certify",
+    "check_consistency",
     "find_headings",
     "fit_rotations",
     "matches_that_agree",
