@@ -512,7 +512,7 @@ def test_check_without_matplotlib(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     def absent(*_: Any) -> None:
         raise pp.MissingExtraError("pictures need matplotlib")
 
-    monkeypatch.setattr("panopath.cli.draw_certificate", absent)
+    monkeypatch.setattr("panopath.cli.certifying.draw_certificate", absent)
     run("simulate", "box", "-o", "b.csv", "--views", "6", "--points", "20")
     told = run("check", "b.csv", "-o", "found")
     assert (told.code, told.err.strip()) == (0, "panopath: pictures need matplotlib")
