@@ -14,7 +14,7 @@ from panopath.certificate import OrientationModel
 from panopath.certificate_text import (
     Names,
 )
-from panopath.cli.app import EXIT_HELP, EXIT_UNDETERMINED, AsJson, NoPlots, Quiet, Terminal, Verbose, app
+from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Quiet, Terminal, Verbose
 from panopath.cli.certifying import Drawing, certified, show_certificate, sigma_of, write_checked
 from panopath.cli.evaluate import judged
 from panopath.cli.solve import reconstruct, with_sigma
@@ -34,7 +34,6 @@ from panopath.model import (
 from panopath.steps import CertifyOptions, solve_positions
 
 
-@app.command(epilog=EXIT_HELP)
 def check(
     source: Annotated[
         Path,

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from panopath.certificate import Certificate
-from panopath.cli.app import EXIT_HELP, EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal, app
+from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
 from panopath.cli.certifying import Drawing, brief, certified, write_folder
 from panopath.cli.tables import show_scene
 from panopath.evaluate import Evaluation, evaluate
@@ -26,7 +26,6 @@ from panopath.steps import CertifyOptions, position_covariance, solve_positions
 from panopath.synthetic import SyntheticWorld, simulate
 
 
-@app.command(epilog=EXIT_HELP)
 def demo(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")] = Path("panopath-demo"),

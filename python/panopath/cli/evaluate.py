@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from panopath.cli.app import EXIT_HELP, AsJson, Quiet, Terminal, app
+from panopath.cli.app import AsJson, Quiet, Terminal
 from panopath.evaluate import Alignment, Evaluation, evaluate
 from panopath.formats import (
     read_problem,
@@ -25,7 +25,6 @@ from panopath.model import (
 )
 
 
-@app.command("evaluate", epilog=EXIT_HELP)
 def evaluate_command(
     out: Annotated[Path, typer.Argument(help="Folder that panopath solve wrote, or a COLMAP model.")],
     truth: Annotated[

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from panopath.certificate import Certificate
-from panopath.cli.app import EXIT_HELP, EXIT_UNDETERMINED, AsJson, Quiet, Terminal, app
+from panopath.cli.app import EXIT_UNDETERMINED, AsJson, Quiet, Terminal
 from panopath.cli.certifying import brief, certified
 from panopath.cli.tables import STATUS_TEXT, parts_table, show_sentence
 from panopath.formats import (
@@ -31,7 +31,6 @@ from panopath.model import (
 from panopath.steps import CertifyOptions
 
 
-@app.command("map", epilog=EXIT_HELP)
 def map_command(
     database: Annotated[Path, typer.Argument(help="COLMAP database with features and matches.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the models: OUT/0 is the largest.")],

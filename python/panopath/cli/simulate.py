@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from panopath.cli.app import EXIT_HELP, AsJson, Overwrite, Quiet, Terminal, app
+from panopath.cli.app import AsJson, Overwrite, Quiet, Terminal
 from panopath.formats import (
     write_scene,
     write_tracks,
@@ -41,7 +41,6 @@ _OWN_OPTIONS = {
 }
 
 
-@app.command("simulate", epilog=EXIT_HELP)
 def simulate_command(
     world: Annotated[WorldName, typer.Argument(help="Which world.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Bearings to write: .csv, .csv.gz or .parquet.")],

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from panopath.certificate import OrientationModel
-from panopath.cli.app import EXIT_HELP, EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal, app
+from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
 from panopath.cli.certifying import Drawing, brief, certified, sigma_of, write_folder
 from panopath.cli.tables import show_scene
 from panopath.formats import (
@@ -37,7 +37,6 @@ from panopath.pipeline import ReconstructOptions, fit_to_control, reconstruct_tr
 from panopath.steps import CertifyOptions, RefineOptions, solve_positions
 
 
-@app.command(epilog=EXIT_HELP)
 def solve(
     tracks: Annotated[
         Path, typer.Argument(help="Bearings (CSV, Parquet), a BAL file, a COLMAP model folder or a panopath folder.")
