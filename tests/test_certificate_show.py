@@ -165,7 +165,12 @@ def test_weak_and_inconsistent_say_so() -> None:
     bent = certificate_of(scene, consistency=gate)
     assert bent.verdict is Verdict.DETERMINED
     assert not bent.is_determined
-    assert bent.sentence().endswith("; but the scene contradicts its bearings (1 reason)")
+    told = "; but the scene contradicts its bearings: views 3 to 4: half of their observations are rejected."
+    assert bent.sentence().endswith(told)
+    wrong = replace(bent, verdict=Verdict.WEAK)
+    assert wrong.sentence() == f"weak: all 5 views, all 12 points{told}"
+    few = replace(certificate_of(scene), verdict=Verdict.WEAK, n_views=9)
+    assert few.sentence().startswith("weak: 5 of 9 views, all 12 points, too few of those that were observed; ")
     assert bent.explain()[1] == "inconsistent: views 3 to 4: half of their observations are rejected."
 
 

@@ -70,9 +70,9 @@ def sentence(certificate: Certificate, names: Names | None = None) -> str:
         told.append(_what_noise_does(certificate))
     told += _first_reason(certificate, called)
     if not certificate.consistency.passed:
-        told.append(
-            f"but the scene contradicts its bearings ({_count(len(certificate.consistency.reasons), 'reason')})"
-        )
+        reasons = certificate.consistency.reasons
+        more = f" (and {_count(len(reasons) - 1, 'more contradiction')})" if len(reasons) > 1 else ""
+        told.append(f"but the scene contradicts its bearings: {reasons[0]}{more}")
     return f"{certificate.verdict}: {'; '.join(told)}"
 
 
@@ -182,7 +182,9 @@ def _what_holds(certificate: Certificate) -> str:
         f"{_share(len(largest.tracks), certificate.n_tracks, 'point')}"
     )
     if certificate.verdict == "weak":
-        return f"{told}, but {_what_noise_does(certificate)}"
+        if any(part.verdict == "weak" for part in certificate.components):
+            return f"{told}, but {_what_noise_does(certificate)}"
+        return told if not certificate.consistency.passed else f"{told}, too few of those that were observed"
     return told if certificate.verdict == "determined" else f"the largest rigid part has {told}"
 
 
@@ -220,10 +222,13 @@ _KINDS = ("views", "tracks")
 
 def _first_reason(certificate: Certificate, names: Names) -> list[str]:
     """Give the first exact cause, and how many others there are."""
-    if not certificate.causes:
+    all_firm = certificate.verdict != "undetermined" and all(p.verdict == "determined" for p in certificate.components)
+    # a few loose points belong to every scene: they are told where something is weak
+    causes = [cause for cause in certificate.causes if cause.is_exact or not all_firm]
+    if not causes:
         return []
-    first = next((cause for cause in certificate.causes if cause.is_exact), certificate.causes[0])
-    others = len(certificate.causes) - 1
+    first = next((cause for cause in causes if cause.is_exact), causes[0])
+    others = len(causes) - 1
     more = f" (and {_count(others, 'more cause', 'more causes')})" if others else ""
     return [cause_sentence(first, certificate, names) + more]
 
