@@ -3,11 +3,11 @@
 //! The bearing-rigidity matrix maps displacements of views and points to turns of the observed segments,
 //! `P_ij (dX_j - q_ij) / r_ij`, with `q_ij` the displacement of view `i` as seen from point `j` (a turn of the view takes part
 //! in it where orientations are free). Its null space at a scene holds the gauge; every further dimension is a family of
-//! scenes with the same bearings. Rigid components follow from the stretch rates of the segments ([`stretch`]); with noise,
+//! scenes with the same bearings. Rigid components follow from the stretch rates of the segments (`stretch`); with noise,
 //! a mode of energy `E` moves by `sigma / sqrt(E)` at one standard deviation.
 //!
 //! Who saw whom and where all are is everything that counts: measured bearings do not enter. Members that hang loose by
-//! themselves are left out first ([`ends`]); each connected rest is looked at in a frame of its own, and each rigid
+//! themselves are left out first (`ends`); each connected rest is looked at in a frame of its own, and each rigid
 //! component in turn.
 
 mod causes;
