@@ -1,6 +1,7 @@
 //! Arrays in, arrays out: the Python face of the `panopath` crate. No algorithm lives here.
 use pyo3::prelude::*;
 
+mod conditions;
 mod convert;
 mod correspondence;
 mod headings;
@@ -19,6 +20,7 @@ mod view_graph;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
+    conditions::register(module)?;
     correspondence::register(module)?;
     headings::register(module)?;
     motion::register(module)?;

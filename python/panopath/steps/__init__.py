@@ -1,6 +1,7 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
 from panopath.steps.certificate import CertifyOptions, certify
+from panopath.steps.conditions import FullVisibility, full_visibility
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
@@ -26,6 +27,7 @@ __all__ = [
     "CertifyOptions",
     "CorrespondenceOptions",
     "FeatureTracks",
+    "FullVisibility",
     "HeadingOptions",
     "Headings",
     "Motion",
@@ -44,6 +46,7 @@ __all__ = [
     "certify",
     "find_headings",
     "fit_rotations",
+    "full_visibility",
     "matches_that_agree",
     "mean_motion",
     "position_covariance",
