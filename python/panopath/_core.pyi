@@ -23,6 +23,7 @@ __all__ = [
     "cylindrical_from_bearings",
     "equirectangular_from_bearings",
     "fit_rotations",
+    "full_visibility",
     "matches_that_agree",
     "mean_motion",
     "natural_order",
@@ -96,6 +97,9 @@ def certify(
     fit: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]],
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
+def full_visibility(
+    centers: npt.NDArray[np.float64], points: npt.NDArray[np.float64], tolerance: float
+) -> tuple[int, list[dict[str, Any]]] | None: ...
 def scene_covariance(
     observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,

@@ -1,6 +1,7 @@
 //! Arrays in, arrays out: the Python face of the `panopath` crate. No algorithm lives here.
 use pyo3::prelude::*;
 
+mod conditions;
 mod consistency;
 mod convert;
 mod correspondence;
@@ -20,6 +21,7 @@ mod view_graph;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
+    conditions::register(module)?;
     consistency::register(module)?;
     correspondence::register(module)?;
     headings::register(module)?;

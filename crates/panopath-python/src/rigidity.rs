@@ -93,8 +93,7 @@ fn write<'py, const D: usize>(py: Python<'py>, found: Certificate<D>) -> PyResul
     dict.set_item("components", PyList::new(py, components)?)?;
     let modes = found.modes.into_iter().map(|m| mode(py, &m)).collect::<PyResult<Vec<_>>>()?;
     dict.set_item("modes", PyList::new(py, modes)?)?;
-    let causes = found.causes.into_iter().map(|c| cause(py, c)).collect::<PyResult<Vec<_>>>()?;
-    dict.set_item("causes", PyList::new(py, causes)?)?;
+    dict.set_item("causes", write_causes(py, found.causes)?)?;
     dict.set_item("component_of_observation", found.component_of_observation.into_pyarray(py))?;
     dict.set_item("counts", found.counts.into_pyarray(py))?;
     dict.set_item("sigma_rad", found.sigma_rad)?;
@@ -126,6 +125,12 @@ fn mode<'py, const D: usize>(py: Python<'py>, found: &ReportedMode<D>) -> PyResu
     dict.set_item("track_displacement", rows(&found.points).into_pyarray(py))?;
     dict.set_item("view_turn_rad", rows(&found.turns).into_pyarray(py))?;
     Ok(dict)
+}
+
+/// Causes as a list of dicts.
+pub fn write_causes(py: Python<'_>, found: Vec<Cause>) -> PyResult<Bound<'_, PyList>> {
+    let causes = found.into_iter().map(|c| cause(py, c)).collect::<PyResult<Vec<_>>>()?;
+    PyList::new(py, causes)
 }
 
 fn cause(py: Python<'_>, found: Cause) -> PyResult<Bound<'_, PyDict>> {

@@ -1,6 +1,7 @@
 """The solvers, typed: a record in, a record out. The mathematics is in the compiled core."""
 
 from panopath.steps.certificate import CertifyOptions, certify
+from panopath.steps.conditions import FullVisibility, full_visibility
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
@@ -28,6 +29,7 @@ __all__ = [
     "ConsistencyOptions",
     "CorrespondenceOptions",
     "FeatureTracks",
+    "FullVisibility",
     "HeadingOptions",
     "Headings",
     "Motion",
@@ -47,6 +49,7 @@ __all__ = [
     "check_consistency",
     "find_headings",
     "fit_rotations",
+    "full_visibility",
     "matches_that_agree",
     "mean_motion",
     "position_covariance",

@@ -102,7 +102,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         components=components,
         hinges=_hinges(components),
         modes=tuple(_mode(plain) for plain in found["modes"]),
-        causes=tuple(_cause(plain, tracks.d) for plain in found["causes"]),
+        causes=tuple(cause_of(plain, tracks.d) for plain in found["causes"]),
         consistency=consistency,
         orientation=chosen.orientation,
         sigma_rad=found["sigma_rad"],
@@ -134,7 +134,8 @@ def _mode(plain: dict[str, Any]) -> Mode:
     return Mode(**plain, **arrays)
 
 
-def _cause(plain: dict[str, Any], d: int) -> Cause:
+def cause_of(plain: dict[str, Any], d: int) -> Cause:
+    """Make a record of a cause that the core names."""
     kind = CauseKind(plain["kind"])
     # lines are a point and a direction each
     shape = plain["shape"] if kind == CauseKind.CONIC else plain["shape"].reshape(-1, d)

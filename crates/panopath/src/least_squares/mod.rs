@@ -5,14 +5,17 @@
 //!
 //! Same values, same bytes: the factorisation is told a fixed degree of parallelism, whatever the number of threads.
 
+use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
+use faer::linalg::evd::{ComputeEigenvectors, self_adjoint_evd, self_adjoint_evd_scratch};
+use faer::linalg::svd::{ComputeSvdVectors, svd, svd_scratch};
 use faer::sparse::linalg::amd;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side};
+use faer::{Conj, Mat, MatMut, Par, Side};
 use rayon::prelude::*;
 
 use crate::geometry::{Matrix, Rotation, Vector};
@@ -524,9 +527,14 @@ pub fn symmetric_eigen_of(rows: &[Vec<f64>]) -> Result<(Vec<f64>, Vec<Vec<f64>>)
     if rows.iter().flatten().any(|x| !x.is_finite()) {
         return Err(LeastSquaresError::Singular { pivot: 0 });
     }
-    let matrix = faer::Mat::from_fn(n, n, |r, c| 0.5 * (rows[r][c] + rows[c][r]));
-    let eigen = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
-    let (values, vectors) = (eigen.S(), eigen.U());
+    let matrix = Mat::from_fn(n, n, |r, c| 0.5 * (rows[r][c] + rows[c][r]));
+    let (mut values, mut vectors) = (Diag::<f64>::zeros(n), Mat::<f64>::zeros(n, n));
+    let scratch = self_adjoint_evd_scratch::<f64>(n, ComputeEigenvectors::Yes, Par::Seq, Default::default());
+    let mut memory = MemBuffer::try_new(scratch).map_err(|e| LeastSquaresError::TooLarge(format!("{e:?}")))?;
+    let (s, u) = (values.as_mut(), Some(vectors.as_mut()));
+    // in sequence: faer's own choice would follow the number of threads, and the last digits with it
+    self_adjoint_evd(matrix.as_ref(), s, u, Par::Seq, MemStack::new(&mut memory), Default::default())
+        .map_err(|_| LeastSquaresError::Singular { pivot: 0 })?;
     let columns = (0..n).map(|k| (0..n).map(|r| vectors[(r, k)]).collect()).collect();
     Ok(((0..n).map(|k| values[k]).collect(), columns))
 }
@@ -540,16 +548,16 @@ pub fn right_singular(n_columns: usize, entries: &[f64]) -> Option<(Vec<f64>, Ve
     }
     let n_rows = entries.len() / n_columns;
     // rows of zeros complete a wide matrix, so that its null space is given too
-    let matrix =
-        faer::Mat::from_fn(
-            n_rows.max(n_columns),
-            n_columns,
-            |r, c| {
-                if r < n_rows { entries[r * n_columns + c] } else { 0.0 }
-            },
-        );
-    let svd = matrix.thin_svd().ok()?;
-    let (values, v) = (svd.S(), svd.V());
+    let height = n_rows.max(n_columns);
+    let entry = |r: usize, c: usize| if r < n_rows { entries[r * n_columns + c] } else { 0.0 };
+    let matrix = Mat::from_fn(height, n_columns, entry);
+    let (mut values, mut v) = (Diag::<f64>::zeros(n_columns), Mat::<f64>::zeros(n_columns, n_columns));
+    let (no, thin) = (ComputeSvdVectors::No, ComputeSvdVectors::Thin);
+    let scratch = svd_scratch::<f64>(height, n_columns, no, thin, Par::Seq, Default::default());
+    let mut memory = MemBuffer::try_new(scratch).ok()?;
+    // in sequence, as above
+    let (s, stack) = (values.as_mut(), MemStack::new(&mut memory));
+    svd(matrix.as_ref(), s, None, Some(v.as_mut()), Par::Seq, stack, Default::default()).ok()?;
     let vectors = (0..n_columns).map(|k| (0..n_columns).map(|r| v[(r, k)]).collect()).collect();
     Some(((0..n_columns).map(|k| values[k]).collect(), vectors))
 }

@@ -5,12 +5,14 @@ use rayon::prelude::*;
 use super::frame::Frame;
 use super::spectrum::{Analysis, Mobility};
 use super::{LOOSE_POINT, noise_multiple};
+use crate::bundle::determinacy::clear_held;
 use crate::bundle::estimate::Estimate;
 use crate::bundle::newton::NewtonWeights;
 use crate::bundle::noise::median;
 use crate::bundle::part::{Lanes, Layout};
-use crate::bundle::reduced::{PointSum, Weighing};
-use crate::least_squares::{LeastSquaresError, SelectedInverse};
+use crate::bundle::reduced::{Factorised, PointSum, Row, Weighing};
+use crate::bundle::system::CameraSystem;
+use crate::least_squares::{LeastSquaresError, SelectedInverse, inner};
 
 /// A point is far where the spread of its views, or their range of sight, is less than this share of its distance.
 const REALLY_FAR: f64 = 0.1;
@@ -46,7 +48,8 @@ pub(super) fn of_views<const D: usize, const W: usize, M: Mobility<D, W>>(
         Err(LeastSquaresError::Singular { .. }) => return Ok(nothing),
         other => other?,
     };
-    let members = Members { frame, inverse: &inverse, held: &held, keeps_points: pattern.n_nodes() > n };
+    let growth = if scale_is_free { Some(Growth::of(frame, &system)?) } else { None };
+    let members = Members { frame, inverse: &inverse, held: &held, growth, keeps_points: pattern.n_nodes() > n };
     let neighbours = members.neighbours();
     let looseness = |&a: &usize| {
         let compared = &neighbours[a];
@@ -64,7 +67,36 @@ struct Members<'a, const D: usize, const W: usize> {
     frame: &'a Frame<D>,
     inverse: &'a SelectedInverse<W>,
     held: &'a [bool],
+    growth: Option<Growth>,
     keeps_points: bool,
+}
+
+/// How the size of all views errs, where one coordinate is held instead: growth is `g = sum a^T x / n` with arms `a` from the
+/// centroid, in units of the frame.
+struct Growth {
+    variance: f64,
+    /// Covariance of each member's position with it, views first.
+    with: Vec<Lanes>,
+}
+
+impl Growth {
+    fn of<const D: usize, const W: usize, R: Row>(
+        frame: &Frame<D>,
+        system: &CameraSystem<D, W, R>,
+    ) -> Result<Self, LeastSquaresError> {
+        let n = frame.views.len();
+        let mut arms = vec![0.0; n * W];
+        for (center, arm) in frame.estimate.centers.iter().zip(arms.chunks_exact_mut(W)) {
+            (0..D).for_each(|c| arm[W - D + c] = center.0[c] / n as f64);
+        }
+        let mut with = arms.clone();
+        clear_held(system.held(), &mut with);
+        system.solve_for(&mut with)?;
+        let variance = inner(&arms, &with);
+        let of_views = with.as_chunks::<W>().0.iter();
+        let of_views = of_views.map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[W - D + c])));
+        Ok(Self { variance, with: of_views.chain(frame.followers::<W>(&with)).collect() })
+    }
 }
 
 impl<const D: usize, const W: usize> Members<'_, D, W> {
@@ -109,7 +141,15 @@ impl<const D: usize, const W: usize> Members<'_, D, W> {
             }
             self.inverse.block(x, y).map(|block| block[row][column])
         };
-        let along = |axis| Some(entry(a, a, axis)? + entry(b, b, axis)? - 2.0 * entry(a, b, axis)?);
+        let apart = self.position(a).minus(self.position(b));
+        let grown = |axis: usize| {
+            // with the size of all views held instead of one coordinate
+            self.growth.as_ref().map_or(0.0, |growth| {
+                let with = growth.with[a].minus(&growth.with[b]).0[axis];
+                apart.0[axis] * (apart.0[axis] * growth.variance - 2.0 * with)
+            })
+        };
+        let along = |axis| Some(entry(a, a, axis)? + entry(b, b, axis)? - 2.0 * entry(a, b, axis)? + grown(axis));
         (0..D).map(|axis| along(axis).unwrap_or(f64::INFINITY)).sum()
     }
 }

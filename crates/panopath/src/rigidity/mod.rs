@@ -618,17 +618,16 @@ impl<'a, const D: usize> Inquiry<'a, D> {
 
     /// Are there views or tracks with observations, more than a few, that the scene has no place for?
     fn leaves_out_many(&self) -> bool {
-        let share_out = |of: &[u32], n: usize| {
+        let are_out = |of: &[u32], n: usize| {
             let (mut asked, mut placed) = (vec![false; n], vec![false; n]);
             for (o, &member) in of.iter().enumerate() {
                 asked[member as usize] = true;
                 placed[member as usize] |= self.counts[o];
             }
-            let count = |flags: &[bool]| flags.iter().filter(|f| **f).count() as f64;
-            1.0 - count(&placed) / count(&asked).max(1.0)
+            let count = |flags: &[bool]| flags.iter().filter(|f| **f).count();
+            (count(&asked) - count(&placed)) as f64 > LEFT_OUT * count(&asked) as f64
         };
-        share_out(self.scene.view, self.scene.centers.len()) > LEFT_OUT
-            || share_out(self.scene.track, self.scene.points.len()) > LEFT_OUT
+        are_out(self.scene.view, self.scene.centers.len()) || are_out(self.scene.track, self.scene.points.len())
     }
 
     /// Puts the components in order and draws the conclusion.

@@ -27,10 +27,13 @@ const COMPLETE_UNKNOWNS: usize = 160;
 const COMPLETE_WORK: usize = 100_000_000;
 /// Modes sought at first beyond the gauge.
 const FIRST_MODES: usize = 10;
-/// Most modes sought.
-const MOST_MODES: usize = 640;
+/// Most modes sought in one go, and in all.
+const MOST_AT_ONCE: usize = 40;
+const MOST_MODES: usize = 2560;
 /// Inverse iterations.
 const ITERATIONS: usize = 4;
+/// Modes below this value may owe it to rounding alone.
+const UNSETTLED: f64 = 1e-6;
 /// Modes below this value are put in order once more among themselves.
 const LOW: f64 = 1e-3;
 /// How a mode's cheapest displacement of a frame may be damped so that it can be factorised: the guard, times these.
@@ -46,7 +49,7 @@ pub(super) struct Mode {
 }
 
 /// What the views of a frame may do: shift, or turn and shift.
-pub(super) trait Mobility<const D: usize, const W: usize>: Sized {
+pub(super) trait Mobility<const D: usize, const W: usize>: Sized + Sync {
     type Row: Row;
     type Freedoms<'a>: Freedoms<D, W, Row = Self::Row>;
     fn freedoms(frame: &Frame<D>) -> Self::Freedoms<'_>;
@@ -96,7 +99,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let beyond = present.saturating_sub(self.gauge.len());
         let work = present * present * self.frame.part.n_observations();
         if beyond <= FIRST_MODES || (present <= COMPLETE_UNKNOWNS && work <= COMPLETE_WORK) {
-            return self.ritz(self.all_displacements());
+            return self.ritz(self.all_displacements(), &[]);
         }
         let mut system = None;
         for guard in GUARDS {
@@ -110,20 +113,47 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
             }
         }
         let Some(system) = system else { return Err(LeastSquaresError::Singular { pivot: 0 }) };
-        let mut count = FIRST_MODES;
+        let (mut modes, mut count) = (Vec::new(), FIRST_MODES);
         loop {
-            let modes = self.ritz(self.inverse_iteration(&system, count.min(beyond))?)?;
-            let all_null = modes.last().is_none_or(|mode| mode.value < null_below);
-            if !all_null || count >= beyond.min(MOST_MODES) {
+            let found = self.weakest(&system, &modes, count.min(beyond - modes.len()))?;
+            let all_null = found.last().is_none_or(|mode| mode.value < null_below);
+            modes.extend(found);
+            if !all_null || modes.len() >= beyond.min(MOST_MODES) {
                 return Ok(modes);
             }
-            count *= 4;
+            count = (4 * count).min(MOST_AT_ONCE);
         }
+    }
+
+    /// The weakest modes beyond the gauge and beyond those that are known to be null.
+    fn weakest(
+        &self,
+        system: &CameraSystem<D, W, M::Row>,
+        null: &[Mode],
+        count: usize,
+    ) -> Result<Vec<Mode>, LeastSquaresError> {
+        let modes = self.ritz(self.inverse_iteration(system, null, count)?, null)?;
+        let low = modes.iter().take_while(|mode| mode.value < UNSETTLED).count();
+        if low == 0 {
+            return Ok(modes);
+        }
+        // The guard resists displacements of all that lies far from the pinned view, and bends what moves there a little. What
+        // the observations themselves resist is taken off: `x - (S + g D)^-1 S x`.
+        let mut steps: Vec<Vec<f64>> = modes.into_iter().map(|mode| mode.step).collect();
+        let settle = |step: &mut Vec<f64>| {
+            let mut bent = self.resistance(step);
+            clear_held(system.held(), &mut bent);
+            system.solve_for(&mut bent)?;
+            step.iter_mut().zip(&bent).for_each(|(x, b)| *x -= b);
+            Ok(())
+        };
+        steps[..low].par_iter_mut().map(settle).collect::<Result<(), LeastSquaresError>>()?;
+        self.ritz(orthonormal(steps, self.gauge, null), null)
     }
 
     /// The least value among combinations of the displacements of some modes, found at another scene.
     pub fn least_among(&self, modes: &[Mode]) -> Result<f64, LeastSquaresError> {
-        let basis = orthonormal(modes.iter().map(|mode| mode.step.clone()).collect(), self.gauge);
+        let basis = orthonormal(modes.iter().map(|mode| mode.step.clone()).collect(), self.gauge, &[]);
         let n = self.frame.part.n_observations() as f64 / self.frame.views.len() as f64;
         Ok(self.combined(&basis)?.0.first().map_or(f64::INFINITY, |least| least / n.sqrt()))
     }
@@ -151,21 +181,23 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let n = self.frame.views.len() * W;
         let unit = |k: usize| (0..n).map(|i| f64::from(u8::from(i == k))).collect::<Vec<f64>>();
         let present = (0..n).filter(|k| !self.absent[k % W]);
-        orthonormal(present.map(unit).collect(), self.gauge)
+        orthonormal(present.map(unit).collect(), self.gauge, &[])
     }
 
-    /// An orthonormal basis of the weakest modes, beyond the gauge.
+    /// An orthonormal basis of the weakest modes, beyond the gauge and some that are known.
     fn inverse_iteration(
         &self,
         system: &CameraSystem<D, W, M::Row>,
+        known: &[Mode],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, LeastSquaresError> {
         let n = self.frame.views.len() * W;
         let start = |a: usize| {
-            let x = (0..n).map(|k| if self.absent[k % W] { 0.0 } else { scattered(a * n + k) });
+            let first = (known.len() + a) * n;
+            let x = (0..n).map(|k| if self.absent[k % W] { 0.0 } else { scattered(first + k) });
             x.collect::<Vec<f64>>()
         };
-        let mut basis = orthonormal((0..count).map(start).collect(), self.gauge);
+        let mut basis = orthonormal((0..count).map(start).collect(), self.gauge, known);
         for _ in 0..ITERATIONS {
             let solved: Result<Vec<Vec<f64>>, LeastSquaresError> = basis
                 .into_iter()
@@ -175,13 +207,13 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
                     Ok(x)
                 })
                 .collect();
-            basis = orthonormal(solved?, self.gauge);
+            basis = orthonormal(solved?, self.gauge, known);
         }
         Ok(basis)
     }
 
     /// Combinations of some displacements that are modes, in ascending order of their values.
-    fn ritz(&self, basis: Vec<Vec<f64>>) -> Result<Vec<Mode>, LeastSquaresError> {
+    fn ritz(&self, basis: Vec<Vec<f64>>, known: &[Mode]) -> Result<Vec<Mode>, LeastSquaresError> {
         let n = self.frame.views.len() as f64;
         let scale = (self.frame.part.n_observations() as f64 / n).sqrt();
         let (values, vectors) = self.combined(&basis)?;
@@ -190,7 +222,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         let (mut values, mut vectors) = (values, vectors);
         if low > 0 && low < values.len() {
             let rest = vectors.split_off(low);
-            let (low_values, low_vectors) = self.combined(&orthonormal(vectors, self.gauge))?;
+            let (low_values, low_vectors) = self.combined(&orthonormal(vectors, self.gauge, known))?;
             let kept = low_vectors.len();
             vectors = low_vectors;
             vectors.extend(rest);
@@ -216,6 +248,24 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         };
         let vectors: Vec<Vec<f64>> = mixes.par_iter().map(mix).collect();
         Ok((energies.into_iter().map(|e| e.max(0.0).sqrt()).collect(), vectors))
+    }
+
+    /// Half the gradient of the energy of a displacement, `S x`, from the displacements themselves.
+    fn resistance(&self, step: &[f64]) -> Vec<f64> {
+        let part = &self.frame.part;
+        let freedoms = M::freedoms(self.frame);
+        let mut pull = vec![0.0; step.len()];
+        for j in 0..part.n_tracks() {
+            let follow = Follow::<D>::of(self.frame, j);
+            let moved = follow.displacement::<W>(self.frame, j, step);
+            for (model, o) in follow.models.iter().zip(part.observations(j)) {
+                let across = self.frame.origin_shift::<W>(step, o, j).minus(&moved);
+                let own = freedoms.lift(o, j, &model.apply::<D>(&across));
+                let node = part.node_of(o) as usize;
+                pull[node * W..(node + 1) * W].iter_mut().enumerate().for_each(|(k, sum)| *sum += own.at(k));
+            }
+        }
+        pull
     }
 
     /// Inner products of displacements in the energy.
@@ -305,27 +355,44 @@ impl<const D: usize> Follow<D> {
     }
 }
 
-/// Makes vectors orthonormal and free of the gauge, those that depend on others left out. What is taken off is taken off
-/// twice: once loses digits.
-fn orthonormal(vectors: Vec<Vec<f64>>, gauge: &GaugeBasis) -> Vec<Vec<f64>> {
+/// Makes vectors orthonormal and free of the gauge and of known modes, those that depend on others left out. What is taken
+/// off is taken off twice: once loses digits.
+fn orthonormal(mut vectors: Vec<Vec<f64>>, gauge: &GaugeBasis, known: &[Mode]) -> Vec<Vec<f64>> {
     const DEPENDENT: f64 = 1e-9;
-    let mut basis: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
-    for mut vector in vectors {
-        let before = inner(&vector, &vector).sqrt();
-        for _ in 0..2 {
-            gauge.remove(&mut vector);
-            for other in &basis {
-                let along = inner(&vector, other);
-                vector.iter_mut().zip(other).for_each(|(x, b)| *x -= along * b);
+    for least in [DEPENDENT, 0.0] {
+        let before: Vec<f64> = vectors.iter().map(|vector| inner(vector, vector).sqrt()).collect();
+        vectors.par_iter_mut().for_each(|vector| remove(vector, gauge, known));
+        let mut basis: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
+        for (mut vector, before) in vectors.into_iter().zip(before) {
+            basis.iter().for_each(|other| take_off(&mut vector, other, 1.0));
+            let length = inner(&vector, &vector).sqrt();
+            if length > least * before && length > f64::MIN_POSITIVE {
+                vector.iter_mut().for_each(|x| *x /= length);
+                basis.push(vector);
             }
         }
-        let length = inner(&vector, &vector).sqrt();
-        if length > DEPENDENT * before && length > f64::MIN_POSITIVE {
-            vector.iter_mut().for_each(|x| *x /= length);
-            basis.push(vector);
-        }
+        vectors = basis;
     }
-    basis
+    vectors
+}
+
+/// Makes a vector free of the gauge and of known modes, which are orthogonal to each other.
+fn remove(vector: &mut [f64], gauge: &GaugeBasis, known: &[Mode]) {
+    gauge.remove(vector);
+    let squared = known.first().map_or(1.0, |mode| inner(&mode.step, &mode.step));
+    known.iter().for_each(|mode| take_off(vector, &mode.step, squared));
+}
+
+/// Makes a vector orthogonal to another of this squared length.
+fn take_off(vector: &mut [f64], other: &[f64], squared: f64) {
+    // several sums at once are several times as fast
+    let mut sums = [0.0; 8];
+    let ((x, x_rest), (y, y_rest)) = (vector.as_chunks::<8>(), other.as_chunks::<8>());
+    for (x, y) in x.iter().zip(y) {
+        (0..8).for_each(|k| sums[k] += x[k] * y[k]);
+    }
+    let along = (sums.iter().sum::<f64>() + inner(x_rest, y_rest)) / squared;
+    vector.iter_mut().zip(other).for_each(|(x, y)| *x -= along * y);
 }
 
 /// A number between -1 and 1 without pattern, the same on every run.
