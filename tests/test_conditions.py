@@ -66,7 +66,7 @@ def test_causes_are_those_of_the_construction() -> None:
 
 @pytest.mark.parametrize("off", [1e-6, 1e-5])
 def test_near_misses_are_generic_and_within_a_tolerance_they_are_not(off: float) -> None:
-    """All positions a little off: their dense null space; with a tolerance beyond it, the exact case again."""
+    """All positions a little off: the dense null space of these, and within a wider tolerance the exact case."""
     rng = np.random.default_rng(4)
     wrong, compared = [], 0
     for c in fully_visible():
