@@ -140,7 +140,7 @@ def errors(case: Case, truth: tuple[Float, Float]) -> Errors:
     )
     # in the plane, where landmarks are few and near, they count as well
     found, true = (centers, truth[0]) if case.tracks.d == 3 else (np.vstack((centers, points)), np.vstack(truth))
-    used: Bool = np.isfinite(found).all(axis=1)
+    used: Bool = np.asarray(np.isfinite(found).all(axis=1))
     fit = align(found, true, rotate=True)
     for _ in range(3):
         fit = align(np.where(used[:, None], found, np.nan), true, rotate=True)
@@ -291,7 +291,8 @@ def settled(one: Certified, mode: Mode) -> Mode:
 
 def movers(one: Certified, mode: Mode) -> Int:
     """Stations that a mode moves by more than a fifth of what it moves most."""
-    speed = np.linalg.norm(settled(one, mode).view_displacement, axis=1)
+    # views without a place move by NaN
+    speed = np.nan_to_num(np.linalg.norm(settled(one, mode).view_displacement, axis=1))
     return np.flatnonzero(speed > 0.2 * speed.max()).astype(np.int32)
 
 
@@ -316,7 +317,7 @@ def named_rows(one: Certified) -> list[tuple[str, ...]]:
     for mode in [mode for mode in one.certificate.modes if not mode.is_null and mode.component == 0][:MOST_NAMED]:
         stations = movers(one, mode)
         few = ", ".join(map(str, stations[:3])) + (f" and {len(stations) - 3} more" if len(stations) > 3 else "")
-        error, loose = float(np.median(off.view[stations])), float(np.median(held[stations]))
+        error, loose = float(np.nanmedian(off.view[stations])), float(np.nanmedian(held[stations]))
         rows.append(
             (
                 one.case.name,
