@@ -235,6 +235,7 @@ CHECKS = (
     *("scene", "view error: median", "of the loosest tenth", "looseness ranks local errors", "errors"),
     *("covariance ranks errors", "points called loose err by", "others by", "error along the named modes"),
 )
+LOOSENESS_COLUMN, COVARIANCE_COLUMN = 4, 5
 
 
 def check_row(one: Certified, unit: str) -> tuple[str, ...]:

@@ -25,8 +25,10 @@ from panopath.planar import complete_planar
 
 from benchmarks import kerry
 from benchmarks.certificate_checks import (
+    COVARIANCE_COLUMN,
     LOOSE_POINT,
     LOOSE_VIEW,
+    LOOSENESS_COLUMN,
     Case,
     Certified,
     certified,
@@ -109,14 +111,15 @@ def roh(folder: Path, images: Path) -> str:
             checks(every, "m"),
             prose(
                 f"""
-                Six stations and four beacons are determined by counting, and by nothing else. The few equations to
-                spare tell the noise badly, so the certificate takes the largest that they do not rule out
+                24 bearings for 17 unknowns: unique, but held by little. The few equations to spare tell the noise
+                badly, so the certificate takes the largest that they do not rule out
                 ({np.degrees(known.sigma_rad):.2g} deg; the bearings are off by 2.9 deg rms) and finds that it moves
                 the stations by {percent(known.components[0].weakest_movement)} of their size: weak, rightly, as the
                 stations are off by 0.17 m on a grid of 1.5 m. With headings unknown the biases go into headings and
-                places, the fit is better, and the certificate is taken in: it promises
-                {percent(unknown.components[0].weakest_movement)} for {np.degrees(unknown.sigma_rad):.2g} deg of
-                noise. A bias that fits cannot be told from residuals.
+                places and the fit is better: the certificate, which knows residuals alone, puts the noise at
+                {np.degrees(unknown.sigma_rad):.2g} deg and the movement at
+                {percent(unknown.components[0].weakest_movement)}, while the stations are off by 0.31 m. A bias that
+                fits cannot be told from residuals.
                 """
             ),
         ]
@@ -252,6 +255,7 @@ def ladybug(folder: Path, images: Path) -> str:
     known, unknown = every[0].certificate, every[2].certificate
     order = np.argsort(-unknown.view_looseness, kind="stable")
     loose = int((known.track_looseness > LOOSE_POINT).sum())
+    ranks = [check_row(one, "%")[COVARIANCE_COLUMN] for one in every]
     return "\n\n".join(
         [
             "## Certificate: Ladybug 49",
@@ -265,9 +269,9 @@ def ladybug(folder: Path, images: Path) -> str:
                 views {", ".join(map(str, order[:4]))}. Differences of that size decide nothing, and looseness does
                 not tell which views are farthest from COLMAP's optimum (rank correlations in the table): these stand
                 towards an end of the path, where small errors of all views add up. The covariance over the whole path
-                is what tells them, better than by chance. Of points the certificate tells much: the few that it calls
-                loose (with the file's rotations {loose}, each seen under less than 1 deg of parallax, all but one by
-                two views only) lie at quite another distance than COLMAP puts them, and the rest does not.
+                ranks them better ({min(ranks)} to {max(ranks)}). Of points the certificate tells much: the few that
+                it calls loose (with the file's rotations {loose}, each seen under less than 1 deg of parallax, all
+                but one by two views only) lie at quite another distance than COLMAP puts them, and the rest does not.
                 """
             ),
             picture(
@@ -311,7 +315,7 @@ def lund_door(folder: Path, images: Path) -> str:
                 no loose point. Twelve views around one door, each point seen by six on average, leave no mode that
                 noise moves by more than
                 {percent(max(one.certificate.components[0].weakest_movement for one in every))} of the size. All views
-                err alike; which errs a little more is chance, and looseness does not tell.
+                err alike.
                 """
             ),
         ]
@@ -359,9 +363,11 @@ def kerry_park(folder: Path, images: Path) -> str:
 
 #: To be taken out when far points no longer make near ones slide.
 FAR_REMARK = """
-    Where a walk is called undetermined, that is wrong: a point runs away to 1e13 sizes of the walk and more (last column),
-    which makes the certificate take near rays for rays without length.
+    Where a walk is called undetermined, that is wrong: a point runs away to 1e13 sizes of the walk and more (last
+    column), which makes the certificate take near rays for rays without length.
 """
+#: Index of the frame with the fewest matches.
+FRAME_IN_GAP = 17
 #: Per cent of the walk's size; a frame farther off than this is at a wrong place.
 KERRY_ASTRAY = 20.0
 
@@ -390,11 +396,17 @@ def _kerry_row(one: Certified, reference: Float) -> tuple[str, ...]:
         f"{np.nanmedian(off):.1f} %, {np.nanmax(off):.0f} %",
         str(most + 1),
         percent(float(held[most])),
-        f"{1 + int((held > held[most]).sum())} of {kerry.N_FRAMES}",
+        f"{_rank(one, reference)} of {kerry.N_FRAMES}",
         ", ".join(f"{frame + 1} ({percent(float(held[frame]))})" for frame in loosest),
         signed(rank_correlation(held, off)),
         f"{_farthest(one.case.scene):.1g}",
     )
+
+
+def _rank(one: Certified, reference: Float) -> int:
+    """Rank by looseness of the frame that is off most; 1 is the loosest."""
+    held = one.certificate.view_looseness
+    return 1 + int((held > held[int(np.nanargmax(_off(one, reference)))]).sum())
 
 
 def _farthest(scene: Scene) -> float:
@@ -415,17 +427,22 @@ def _kerry_text(every: list[Certified], reference: Float) -> str:
     }
     spectrum = " and ".join(f"{min(found):.2g} to {max(found):.2g}" for found in gaps.values() if found)
     n_astray = sum(is_astray)
+    ranks = [_rank(one, reference) for one, astray in zip(every, is_astray, strict=True) if astray]
+    told_ranks = (
+        f"by looseness they rank {', '.join(map(str, ranks))} of {kerry.N_FRAMES}" if ranks else "there is none"
+    )
+    in_gap = sum(int(np.nanargmax(one.certificate.view_looseness)) == FRAME_IN_GAP for one in every)
     return prose(
         f"""
         {n_astray} of {len(every)} walks have a frame more than {KERRY_ASTRAY:g} % off the reference. **Does the
         certificate flag that frame? {"Yes" if n_astray and flagged == n_astray else "No"}**: {flagged} of {n_astray}
-        such frames are beyond the limit of {percent(LOOSE_VIEW)}, and they are not the loosest of their walk either.
-        A frame at a wrong place is held there about as firmly as it would be at the right one: looseness is about
-        what the observations that count leave open, not about whether they are right. The smallest value of a mode
-        beyond the gauge is {spectrum} rad in walks with and without such a frame. No walk is called determined, right
-        or wrong, since most points are far and have no distance; so the verdict does not tell right walks from wrong
-        ones. What looseness does find is the gap in the walk: frame 18, which has the fewest matches (640 in one of
-        the databases; the median of all frames is 4178), is the loosest or next to it in every run.
+        such frames are beyond the limit of {percent(LOOSE_VIEW)}, {told_ranks}. A frame at a wrong place is held
+        there about as firmly as it would be at the right one: looseness is about what the observations that count
+        leave open, not about whether they are right. The smallest value of a mode beyond the gauge is {spectrum} rad
+        in walks with and without such a frame. No walk is called determined, right or wrong, since most points are
+        far and have no distance; so the verdict does not tell right walks from wrong ones. What looseness does find
+        is the gap in the walk: frame 18, which has the fewest matches (640 in one of the databases; the median of all
+        frames is 4178), is the loosest in {in_gap} of {len(every)} walks.
         """
     )
 
@@ -436,7 +453,7 @@ def _kerry_text(every: list[Certified], reference: Float) -> str:
 def planar_unknown(folder: Path, images: Path) -> str:
     """Section on the planar logs with unknown headings."""
     every = [certified(unknown_case(name, read_mrclam(folder / "dataset_mrclam" / f"{name}.mat"))) for name in MRCLAM]
-    ranks = [check_row(one, "m")[4] for one in every]
+    ranks = [check_row(one, "m")[LOOSENESS_COLUMN] for one in every]
     ninth = every[-1]
     return "\n\n".join(
         [
