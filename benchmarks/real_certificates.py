@@ -363,8 +363,8 @@ def kerry_park(folder: Path, images: Path) -> str:
 
 #: To be taken out when far points no longer make near ones slide.
 FAR_REMARK = """
-    Where a walk is called undetermined, that is wrong: a point runs away to 1e13 sizes of the walk and more (last
-    column), which makes the certificate take near rays for rays without length.
+    On earlier databases some walks were called undetermined, wrongly: a point had run away to 1e14 sizes of the walk
+    (last column), which makes the certificate take near rays for rays without length.
 """
 #: Index of the frame with the fewest matches.
 FRAME_IN_GAP = 17
