@@ -1,8 +1,10 @@
 //! Causes of what was found free, and of what is nearly so.
 
 use super::conditions::{Cause, CauseKind, Flexibility, Members, Sightings, failing_conditions, name_causes};
-use super::{Inquiry, LOOSE_POINT, LOOSE_VIEW, OrientationModel};
-use crate::geometry::Vector;
+use super::{Inquiry, LOOSE_POINT, LOOSE_VIEW, OrientationModel, Weakened};
+use std::collections::BTreeMap;
+
+use crate::geometry::{Vector, dot, norm, normalized, scale, sub};
 
 /// Distance from a shape, relative to its size, at which members lie on it exactly.
 const ON_SHAPE: f64 = 1e-7;
@@ -17,11 +19,13 @@ pub(super) fn find<const D: usize>(inquiry: &Inquiry<'_, D>, gauge_freedoms: usi
     if inquiry.nullity > gauge_freedoms || inquiry.components.len() != 1 {
         causes.extend(of_null_modes(inquiry, gauge_freedoms));
     }
-    let mut weakened = inquiry.weakened.clone();
-    weakened.sort_unstable();
-    weakened.dedup();
-    for component in weakened {
-        causes.extend(of_weak_modes(inquiry, component));
+    for (k, weakened) in inquiry.weakened.iter().enumerate() {
+        let same = |other: &Weakened| {
+            (other.component, &other.views, &other.tracks) == (weakened.component, &weakened.views, &weakened.tracks)
+        };
+        if !inquiry.weakened[..k].iter().any(same) {
+            causes.extend(of_weak_mode(inquiry, weakened));
+        }
     }
     causes.extend(loose_members(inquiry));
     causes
@@ -52,7 +56,8 @@ fn of_null_modes<const D: usize>(inquiry: &Inquiry<'_, D>, gauge_freedoms: usize
 
 /// A component that is rigid, and perhaps ambiguous but for the noise: the shape that its members nearly lie on. A conic through
 /// all of them, or two lines, is a reason however little of them is seen; other shapes are where every view sees every point.
-fn of_weak_modes<const D: usize>(inquiry: &Inquiry<'_, D>, component: usize) -> Vec<Cause> {
+fn of_weak_mode<const D: usize>(inquiry: &Inquiry<'_, D>, weakened: &Weakened) -> Vec<Cause> {
+    let component = weakened.component;
     let found = &inquiry.components[component];
     let sees_all = found.n_observations == found.views.len() * found.tracks.len();
     let mut causes = Vec::new();
@@ -72,7 +77,7 @@ fn of_weak_modes<const D: usize>(inquiry: &Inquiry<'_, D>, component: usize) -> 
     }
     if causes.is_empty() {
         let mut cause = Cause::new(CauseKind::Other, "");
-        (cause.views, cause.tracks) = (found.views.clone(), found.tracks.clone());
+        (cause.views, cause.tracks) = (weakened.views.clone(), weakened.tracks.clone());
         cause.components = vec![component as u32];
         cause.is_exact = false;
         causes.push(cause);
@@ -93,15 +98,40 @@ fn loose_members<const D: usize>(inquiry: &Inquiry<'_, D>) -> Vec<Cause> {
         (cause.views, cause.is_exact) = (views, false);
         causes.push(cause);
     }
-    if !tracks.is_empty() {
-        let mut cause = Cause::new(CauseKind::CameraCollinear, "");
+    let mut rays: BTreeMap<u32, Vec<usize>> = tracks.iter().map(|&t| (t, Vec::new())).collect();
+    for o in (0..inquiry.counts.len()).filter(|&o| inquiry.counts[o]) {
+        if let Some(seen) = rays.get_mut(&inquiry.scene.track[o]) {
+            seen.push(o);
+        }
+    }
+    let (in_line, nearly_parallel) = tracks.into_iter().partition(|&t| is_in_line(inquiry, &rays[&t]));
+    for (kind, tracks) in [(CauseKind::CameraCollinear, in_line), (CauseKind::HiddenPoint, nearly_parallel)] {
+        let tracks: Vec<u32> = tracks;
+        if tracks.is_empty() {
+            continue;
+        }
+        let mut cause = Cause::new(kind, "");
         if let [track] = tracks[..] {
-            let sees = |o: &usize| inquiry.counts[*o] && inquiry.scene.track[*o] == track;
-            cause.views = (0..inquiry.counts.len()).filter(sees).map(|o| inquiry.scene.view[o]).collect();
+            cause.views = rays[&track].iter().map(|&o| inquiry.scene.view[o]).collect();
             cause.views.sort_unstable();
         }
         (cause.tracks, cause.is_exact) = (tracks, false);
         causes.push(cause);
     }
     causes
+}
+
+/// Do the views of a point stand along its rays, rather than see it from too near to each other?
+fn is_in_line<const D: usize>(inquiry: &Inquiry<'_, D>, rays: &[usize]) -> bool {
+    /// Sine of the angle within which they do.
+    const IN_LINE: f64 = 0.1;
+    let [first, others @ ..] = rays else { return false };
+    let scene = &inquiry.scene;
+    let center = |o: usize| &scene.centers[scene.view[o] as usize];
+    let ray = normalized(&sub(&scene.points[scene.track[*first] as usize], center(*first)));
+    others.iter().all(|&o| {
+        let baseline = sub(center(o), center(*first));
+        let across = sub(&baseline, &scale(dot(&baseline, &ray), &ray));
+        norm(&across) <= IN_LINE * norm(&baseline)
+    })
 }

@@ -1,8 +1,9 @@
 //! Members that observations tie together, laid out in a frame of their own.
 
 use crate::bundle::estimate::Estimate;
+use crate::bundle::noise::median;
 use crate::bundle::part::{Lanes, Part, Stations};
-use crate::geometry::Vector;
+use crate::geometry::{Vector, norm, sub};
 
 use super::Sightings;
 
@@ -121,19 +122,17 @@ fn ascending(ids: impl Iterator<Item = u32>) -> Vec<u32> {
     ids
 }
 
-/// Centroid and rms radius of the views; of all members where the views stand in one place.
+/// Centroid and rms radius of the views; where these stand in one place as far as numbers go, how far half of the points are.
 fn extent<const D: usize>(scene: &Sightings<'_, D>, views: &[u32], tracks: &[u32]) -> Option<(Vector<D>, f64)> {
-    let of = |members: &[&Vector<D>]| {
-        let n = members.len() as f64;
-        let centroid: Vector<D> = std::array::from_fn(|c| members.iter().map(|x| x[c]).sum::<f64>() / n);
-        let squared: f64 = members.iter().flat_map(|x| (0..D).map(|c| (x[c] - centroid[c]).powi(2))).sum();
-        (centroid, (squared / n).sqrt())
-    };
     let centers: Vec<&Vector<D>> = views.iter().map(|&v| &scene.centers[v as usize]).collect();
-    let all: Vec<&Vector<D>> =
-        centers.iter().copied().chain(tracks.iter().map(|&t| &scene.points[t as usize])).collect();
-    let (origin, size) = of(&centers);
-    let (_, whole) = of(&all);
-    let size = if size > NO_LENGTH * whole { size } else { whole };
+    let n = centers.len() as f64;
+    let origin: Vector<D> = std::array::from_fn(|c| centers.iter().map(|x| x[c]).sum::<f64>() / n);
+    let squared: f64 = centers.iter().flat_map(|x| (0..D).map(|c| (x[c] - origin[c]).powi(2))).sum();
+    let largest = centers.iter().flat_map(|x| x.iter()).fold(0.0f64, |m, x| m.max(x.abs()));
+    let mut size = (squared / n).sqrt();
+    if size <= NO_LENGTH * largest || size == 0.0 {
+        let mut far: Vec<f64> = tracks.iter().map(|&t| norm(&sub(&scene.points[t as usize], &origin))).collect();
+        size = median(&mut far);
+    }
     (size > 0.0 && size.is_finite()).then_some((origin, size))
 }

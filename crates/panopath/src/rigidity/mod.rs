@@ -205,7 +205,7 @@ pub fn certify<const D: usize, const V: usize>(
     check(tracks, scene, options)?;
     let precision = precisions(tracks).map(|(_, precision)| precision);
     let mut counts = observations_that_count(tracks, scene);
-    let noise = Noise::of(tracks, scene, &counts, options);
+    let noise = Noise::of(tracks, scene, &counts, options, axes::<D>(options.orientation).len());
     let mut placed = None;
     if options.orientation == OrientationModel::Known {
         // members of parts that were solved apart meet here
@@ -293,6 +293,37 @@ fn squared_distance<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
     (0..D).map(|c| (a[c] - b[c]).powi(2)).sum()
 }
 
+/// A component with a weak mode, and who moves in it.
+struct Weakened {
+    component: usize,
+    views: Vec<u32>,
+    tracks: Vec<u32>,
+}
+
+impl Weakened {
+    /// Members that move by a good share of what the fastest view does; all where most do.
+    fn by<const D: usize>(component: usize, frame: &Frame<D>, motion: &Motion<D>) -> Self {
+        const GOOD_SHARE: f64 = 0.3;
+        let speeds = |moved: &[Vector<D>]| -> Vec<f64> { moved.iter().map(crate::geometry::norm).collect() };
+        let (views, points) = (speeds(&motion.views), speeds(&motion.points));
+        let limit = GOOD_SHARE * views.iter().copied().fold(0.0, f64::max);
+        let moving = |speed: &[f64], ids: &[u32]| -> Vec<u32> {
+            let mut moving: Vec<u32> = ids.iter().zip(speed).filter(|(_, s)| **s >= limit).map(|(id, _)| *id).collect();
+            moving.sort_unstable();
+            moving
+        };
+        let found = moving(&views, &frame.views);
+        let all = 2 * found.len() > frame.views.len();
+        let tracks = moving(&points, &frame.part.input_track);
+        if all {
+            let mut tracks = frame.part.input_track.clone();
+            tracks.sort_unstable();
+            return Self { component, views: frame.views.clone(), tracks };
+        }
+        Self { component, views: found, tracks }
+    }
+}
+
 /// The certificate as it grows, part by part.
 struct Inquiry<'a, const D: usize> {
     scene: Sightings<'a, D>,
@@ -307,8 +338,8 @@ struct Inquiry<'a, const D: usize> {
     components: Vec<RigidComponent>,
     component_of_observation: Vec<i32>,
     modes: Vec<ReportedMode<D>>,
-    /// Components with a mode that noise moves far, or takes for an ambiguity.
-    weakened: Vec<usize>,
+    /// Modes of components that noise moves far, or takes for an ambiguity.
+    weakened: Vec<Weakened>,
     view_line: Vec<Vector<D>>,
     track_line: Vec<Vector<D>>,
     view_looseness: Vec<f64>,
@@ -346,13 +377,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
     }
 
     fn axes(&self) -> Vec<[f64; 3]> {
-        let about = |c: usize| std::array::from_fn(|k| f64::from(u8::from(k == c)));
-        match (self.orientation, D) {
-            (OrientationModel::Known, _) => Vec::new(),
-            (OrientationModel::Free, 3) => (0..3).map(about).collect(),
-            (OrientationModel::Free, _) => vec![about(0)],
-            (OrientationModel::Vertical, _) => vec![about(2)],
-        }
+        axes::<D>(self.orientation)
     }
 
     fn gauge_freedoms(&self) -> usize {
@@ -521,8 +546,10 @@ impl<'a, const D: usize> Inquiry<'a, D> {
                     || (W > D && movement > FOLLOWED_MOVEMENT && gets_weaker(analysis, modes, k, movement)?));
             if movement > self.weak_movement || near_null {
                 verdict = verdict.max(Verdict::Weak);
-                self.weakened.push(component);
                 self.report(frame, mode, movement, component, Motion::of::<W>(frame, &mode.step));
+                let mut motion = Motion::of::<W>(frame, &mode.step);
+                motion.settle(frame);
+                self.weakened.push(Weakened::by(component, frame, &motion));
             }
         }
         let views = if verdict == Verdict::Undetermined {
@@ -644,7 +671,9 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         for label in self.component_of_observation.iter_mut().filter(|label| **label >= 0) {
             *label = place[*label as usize];
         }
-        self.weakened = self.weakened.iter().map(|&k| place[k] as usize).collect();
+        for weakened in &mut self.weakened {
+            weakened.component = place[weakened.component] as usize;
+        }
         for mode in &mut self.modes {
             mode.component = mode.component.map(|c| place[c as usize] as u32);
         }
@@ -696,6 +725,17 @@ fn gets_weaker<const D: usize, const W: usize, M: Mobility<D, W>>(
         }
     }
     Ok(false)
+}
+
+/// Axes that a view may turn about; in the plane the first entry counts.
+fn axes<const D: usize>(orientation: OrientationModel) -> Vec<[f64; 3]> {
+    let about = |c: usize| std::array::from_fn(|k| f64::from(u8::from(k == c)));
+    match (orientation, D) {
+        (OrientationModel::Known, _) => Vec::new(),
+        (OrientationModel::Free, 3) => (0..3).map(about).collect(),
+        (OrientationModel::Free, _) => vec![about(0)],
+        (OrientationModel::Vertical, _) => vec![about(2)],
+    }
 }
 
 /// Could the mode be an exact ambiguity seen through noise? A deformation that stretches segment `(i, j)` by `lambda_ij`

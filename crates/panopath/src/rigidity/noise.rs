@@ -46,6 +46,7 @@ impl Noise {
         scene: &Structure<D>,
         counts: &[bool],
         options: &CertifyOptions,
+        turns: usize,
     ) -> Self {
         let used = |o: &usize| counts[*o] && scene.residual_rad.get(*o).is_some_and(|r| r.is_finite());
         let squares: Vec<f64> = (0..tracks.len()).filter(used).map(|o| scene.residual_rad[o].powi(2)).collect();
@@ -61,8 +62,15 @@ impl Noise {
                 (0..of.len()).filter(|&o| counts[o]).for_each(|o| is_told[of[o] as usize] = true);
                 is_told.iter().filter(|told| **told).count()
             };
-            let told = members(tracks.view(), tracks.n_views()) + members(tracks.track(), tracks.n_tracks());
-            let freedom = ((D - 1) * n) as f64 - (D * told) as f64;
+            let views = members(tracks.view(), tracks.n_views());
+            let points = members(tracks.track(), tracks.n_tracks());
+            let parts: std::collections::BTreeSet<i32> = (0..tracks.len())
+                .filter(|&o| counts[o])
+                .map(|o| scene.view_component[tracks.view()[o] as usize])
+                .collect();
+            // each part has a gauge of its own: shifts, scale and the turns that all views share
+            let unknowns = (D + turns) * views + D * points;
+            let freedom = ((D - 1) * n + (D + 1 + turns) * parts.len()) as f64 - unknowns as f64;
             if freedom >= 1.0 && residual_rad.is_finite() {
                 ((sum / low_quantile(freedom)).sqrt(), SigmaSource::Residuals)
             } else {

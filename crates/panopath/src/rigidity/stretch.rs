@@ -9,8 +9,9 @@
 use super::frame::Frame;
 use super::spectrum::{Mode, scattered};
 use crate::bundle::determinacy::across;
+use crate::bundle::noise::median;
 use crate::bundle::part::Lanes;
-use crate::geometry::{Vector, add, dot, scale, sub};
+use crate::geometry::{Vector, add, dot, norm, scale, sub};
 
 /// Combinations of null vectors that stand for all of them: rates that differ in one differ in a random combination.
 const COMBINATIONS: usize = 6;
@@ -243,6 +244,20 @@ impl<const D: usize> Motion<D> {
     pub fn rms(&self) -> f64 {
         let squares = self.views.iter().chain(&self.points).map(|dx| dot(dx, dx));
         (squares.sum::<f64>() / (self.views.len() + self.points.len()) as f64).sqrt()
+    }
+
+    /// Seen from the members that stand still in it, or nearly: those that move the most are left out of the body that the
+    /// motion is taken off of, again and again.
+    pub fn settle(&mut self, frame: &Frame<D>) {
+        const ROUNDS: usize = 6;
+        const BEYOND: f64 = 3.0;
+        let mut views: Vec<usize> = (0..self.views.len()).collect();
+        for _ in 0..ROUNDS {
+            self.relative_to(&BodyMotion::of(frame, self, &views, &[]), frame);
+            let speeds: Vec<f64> = self.views.iter().map(norm).collect();
+            let limit = BEYOND * median(&mut speeds.clone());
+            views = (0..speeds.len()).filter(|&v| speeds[v] <= limit).collect();
+        }
     }
 
     /// Takes the motion of a body off every member, so that the body stands still.
