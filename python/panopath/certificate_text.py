@@ -159,10 +159,14 @@ def looseness_lines(certificate: Certificate, names: Names | None = None) -> lis
     order = np.argsort(np.where(np.isfinite(held), -held, np.inf), kind="stable")
     weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > LOOSE_VIEW]
     told = [
-        f"weakly held: {called.of_views([view])}, to {percent(held[view])} of its distance from the views around it"
+        f"weakly held: {called.of_views([view])}, to {_of_distance(held[view])} from the views around it"
         for view in weak
     ]
     return _shortened(told, "weakly held view")
+
+
+def _of_distance(share: float) -> str:
+    return f"{percent(share)} of its distance" if share < 1.0 else "more than its distance"
 
 
 def cause_sentence(cause: Cause, certificate: Certificate, names: Names | None = None) -> str:
@@ -337,6 +341,8 @@ def _too_few(case: _Case) -> tuple[str, str]:
 
 
 def _disconnected(case: _Case) -> tuple[str, str]:
+    if len(case.cause.components) == 1:
+        return f"{case.parts()} can move and change size against all else", "no observation ties it to them"
     return f"{case.parts()} can move and change size against each other", "no observation ties them to each other"
 
 

@@ -374,5 +374,10 @@ def _legend(figure: Any, panel: Any) -> None:
     told = dict(zip(names, handles, strict=True))
     if told:
         figure.legend(
-            told.values(), told.keys(), loc="outside lower center", ncols=min(4, len(told)), fontsize=9, frameon=False
+            told.values(),
+            told.keys(),
+            loc="outside lower center",
+            ncols=min(4 if len(figure.axes) > 1 else 2, len(told)),
+            fontsize=9,
+            frameon=False,
         )
