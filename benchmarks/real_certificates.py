@@ -162,18 +162,8 @@ def mrclam(folder: Path, images: Path) -> str:
                 those of {below:.0f} % of the stations.
                 """
             ),
-            prose(GAUGE_REMARK),
         ]
     )
-
-
-#: To be taken out when looseness no longer depends on one coordinate, and sentences name what a mode is about.
-GAUGE_REMARK = """
-    Two things are told badly here. The sentences of mrclam2 and mrclam4 name every station where modes are about one
-    or two. And `view_looseness` calls most views of mrclam2 and all of mrclam6 loose, but not the ones that are: its
-    unit is a distance from the farthest view, and in these logs that one is the station that is hardly held. In a
-    frame in which the landmarks err least, 31 stations of mrclam2 and 20 of 464 of mrclam6 are loose.
-"""
 
 
 def victoria_park(folder: Path, images: Path) -> str:
@@ -355,17 +345,11 @@ def kerry_park(folder: Path, images: Path) -> str:
             verdicts(every),
             table(header, rows),
             _kerry_text(every, reference),
-            prose(FAR_REMARK),
             picture(worst, images, "kerry_park", f"Kerry Park, {worst.case.name}, as certified", "m"),
         ]
     )
 
 
-#: To be taken out when far points no longer make near ones slide.
-FAR_REMARK = """
-    On earlier databases some walks were called undetermined, wrongly: a point had run away to 1e14 sizes of the walk
-    (last column), which makes the certificate take near rays for rays without length.
-"""
 #: Index of the frame with the fewest matches.
 FRAME_IN_GAP = 17
 #: Per cent of the walk's size; a frame farther off than this is at a wrong place.

@@ -71,8 +71,7 @@ struct Members<'a, const D: usize, const W: usize> {
     keeps_points: bool,
 }
 
-/// How the size of all views errs, where one coordinate is held instead: growth is `g = sum a^T x / n` with arms `a` from the
-/// centroid, in units of the frame.
+/// How the size of all views errs, where one coordinate is held instead: growth is `g = sum a^T x` with arms `a` of the views.
 struct Growth {
     variance: f64,
     /// Covariance of each member's position with it, views first.
@@ -84,11 +83,7 @@ impl Growth {
         frame: &Frame<D>,
         system: &CameraSystem<D, W, R>,
     ) -> Result<Self, LeastSquaresError> {
-        let n = frame.views.len();
-        let mut arms = vec![0.0; n * W];
-        for (center, arm) in frame.estimate.centers.iter().zip(arms.chunks_exact_mut(W)) {
-            (0..D).for_each(|c| arm[W - D + c] = center.0[c] / n as f64);
-        }
+        let arms = Self::arms::<D, W>(frame);
         let mut with = arms.clone();
         clear_held(system.held(), &mut with);
         system.solve_for(&mut with)?;
@@ -97,6 +92,39 @@ impl Growth {
         let of_views = of_views.map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[W - D + c])));
         Ok(Self { variance, with: of_views.chain(frame.followers::<W>(&with)).collect() })
     }
+
+    /// Arms of the views from their middle, none of them much longer than most: a view far off that little holds would rule
+    /// the size otherwise. They add up to nothing, and to growth one where each view moves by its place.
+    fn arms<const D: usize, const W: usize>(frame: &Frame<D>) -> Vec<f64> {
+        const LONGEST: f64 = 2.0;
+        let centers = &frame.estimate.centers;
+        let middle = Lanes(std::array::from_fn(|c| median(&mut centers.iter().map(|x| x.0[c]).collect::<Vec<f64>>())));
+        let length = |x: &Lanes| x.dot::<D>(x).sqrt();
+        let typical = median(&mut centers.iter().map(|x| length(&x.minus(&middle))).collect::<Vec<f64>>());
+        let limit = if typical > 0.0 { LONGEST * typical } else { f64::INFINITY };
+        let short = |x: &Lanes| {
+            let arm = x.minus(&middle);
+            arm.times(f64::min(1.0, limit / length(&arm).max(f64::MIN_POSITIVE)))
+        };
+        let sees_much = see_much(frame);
+        let firm: Vec<usize> = (0..centers.len()).filter(|&v| sees_much[v]).collect();
+        let arms: Vec<Lanes> = firm.iter().map(|&v| short(&centers[v])).collect();
+        let mean = arms.iter().fold(Lanes::ZERO, |sum, a| sum.plus_scaled(1.0 / arms.len() as f64, a));
+        let reach: f64 = arms.iter().zip(&firm).map(|(a, &v)| a.minus(&mean).dot::<D>(&centers[v])).sum();
+        let mut rows = vec![0.0; centers.len() * W];
+        for (arm, &v) in arms.iter().zip(&firm) {
+            (0..D).for_each(|c| rows[v * W + W - D + c] = (arm.0[c] - mean.0[c]) / reach);
+        }
+        rows
+    }
+}
+
+/// Views that see half as many points as most do, or more: what sees less may be held by little, and is no measure.
+fn see_much<const D: usize>(frame: &Frame<D>) -> Vec<bool> {
+    let mut count = vec![0.0f64; frame.views.len()];
+    (0..frame.part.n_observations()).for_each(|o| count[frame.part.node_of(o) as usize] += 1.0);
+    let typical = median(&mut count.clone());
+    count.iter().map(|&n| n >= 0.5 * typical).collect()
 }
 
 impl<const D: usize, const W: usize> Members<'_, D, W> {
@@ -175,7 +203,8 @@ fn farthest_coordinate<const D: usize, const W: usize>(frame: &Frame<D>, held: &
     let pinned = (0..frame.views.len()).find(|&v| held[v * W..(v + 1) * W].iter().all(|h| *h)).unwrap_or(0);
     let origin = frame.estimate.centers[pinned].vector::<D>();
     let mut farthest = (W - D, 0.0);
-    for (node, center) in frame.estimate.centers.iter().enumerate() {
+    let sees_much = see_much(frame);
+    for (node, center) in frame.estimate.centers.iter().enumerate().filter(|(node, _)| sees_much[*node]) {
         for c in 0..D {
             let distance = (center.0[c] - origin[c]).abs();
             if distance > farthest.1 {
