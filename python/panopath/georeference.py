@@ -209,7 +209,9 @@ def _fit_part(
         settled, used = np.array_equal(used, counted > 0.0), np.asarray(counted > 0.0)
         if settled and np.allclose(before[2], fit[2], rtol=0.0, atol=1e-6) and abs(before[0] - fit[0]) < 1e-9 * fit[0]:
             break
-    sigma_m = noise * float(np.median(sigma[views]))
+    flat = _distance(fit, source, target, "keep")
+    # two coordinates each; the fit has taken four freedoms
+    sigma_m = max(float(np.sqrt((flat[used] ** 2).sum() / max(1, 2 * used.sum() - 4))), _LEAST_SIGMA_M)
     spread = fit[0] * float(np.linalg.norm((source - source.mean(axis=0))[:, :2], axis=1).max())
     if used.sum() < max(least, _LEAST_SHARE * len(views)):
         return _not_fitted(part, GeoStatus.CONTRADICTION, len(enu), len(views))
@@ -217,7 +219,7 @@ def _fit_part(
     if not spread * np.sqrt(used.sum()) > 3.0 * sigma_m:
         return _not_fitted(part, GeoStatus.NO_SPREAD, len(enu), len(views))
     distance, inlier = np.full(len(enu), np.nan), np.zeros(len(enu), dtype=np.bool_)
-    distance[views], inlier[views] = _distance(fit, source, target, "keep"), used
+    distance[views], inlier[views] = flat, used
     return GeoFit(part, GeoStatus.FITTED, *fit, sigma_m, read_only(distance), read_only(inlier), len(views))
 
 
