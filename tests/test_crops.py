@@ -113,6 +113,24 @@ def colour_of_track(scene: pp.Scene, track: int) -> Float:
     return np.asarray(colour_of(world).mean(axis=0))
 
 
+def test_masks_are_cut_alike(tmp_path: Path, scene: pp.Scene) -> None:
+    """A mask that is black where the operator stands, below the camera."""
+    below = (255 * (directions()[:, :, 1] < 0.8)).astype(np.uint8)
+    write_crops(scene, look(scene), tmp_path, masks=lambda _: below)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    black = {}
+    for frame in content["frames"]:
+        mask = read_image(tmp_path / frame["mask_path"])
+        assert frame["mask_path"] == f"masks/{Path(frame['file_path']).name}.png"
+        assert set(np.unique(mask)) <= {0, 255}
+        black[frame["file_path"].rsplit("_", 1)[1]] = float((mask == 0).mean())
+    # the cap of 36.9 degrees is a disc of radius 0.75 on the lower face
+    assert black["down.jpg"] == pytest.approx(np.pi * 0.75**2 / 4.0, abs=0.02)
+    assert all(share == 0.0 for name, share in black.items() if name != "down.jpg")
+    with pytest.raises(pp.InputError, match="mask of"):
+        write_crops(scene, look(scene), tmp_path, masks=lambda _: below[:5])
+
+
 def test_text_and_binary_are_read_back_by_us(tmp_path: Path, scene: pp.Scene) -> None:
     pytest.importorskip("pycolmap", reason="the extra colmap is absent")
     write_crops(scene, look(scene), tmp_path)

@@ -84,10 +84,15 @@ class CropOptions:
         """Angle of view of each crop."""
         return float(np.radians(90.0 if self.kind == "cube" else self.fov_deg))
 
+    @property
+    def half_width(self) -> float:
+        """Half the width of a crop at focal length one: ``tan(fov / 2)``, of a cube's face one to the last digit."""
+        return 1.0 if self.kind == "cube" else float(np.tan(0.5 * self.fov_rad))
+
     def size_for(self, width_px: int) -> int:
         """Width of the crops of a panorama."""
         # pixels of equal angle at the centre: f = w / 2 pi, as the panorama has at its equator; even, for codecs
-        fine = 2 * round(width_px / (2.0 * np.pi) * np.tan(0.5 * self.fov_rad))
+        fine = 2 * round(width_px / (2.0 * np.pi) * self.half_width)
         return min(max(fine, 8), _MOST_PIXELS) if self.size_px is None else self.size_px
 
 
@@ -119,6 +124,7 @@ def write_crops(
     options: CropOptions | None = None,
     *,
     component: int = 0,
+    masks: Images | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> Crops:
     """Cut each panorama into crops, and write them with a COLMAP model and a ``transforms.json``.
@@ -139,6 +145,8 @@ def write_crops(
         Which crops.
     component
         Which part of the scene.
+    masks
+        Masks of the panoramas, white where they count; cut alike and written to ``folder/masks/NAME.png``.
     report
         Called with the number of views done and of all.
 
@@ -160,9 +168,13 @@ def write_crops(
     if not len(views):
         raise InputError(f"component {component} has no solved view, so there is nothing to cut crops from")
     place, source = Path(folder), image_source(images, len(scene.centers))
+    mask_source = None if masks is None else image_source(masks, len(scene.centers))
     colours, parts, size, width = ColourSum(scene), [], 0, 0
     cutter: _Cutter | None = None
+    mask_of: dict[str, str | None] = {}
     _make_folder(place / "images")
+    if mask_source is not None:
+        _make_folder(place / "masks")
     stems = _stems(scene, views)
     for done, view in enumerate(views.tolist()):
         picture = source(view)
@@ -184,7 +196,15 @@ def write_crops(
         for name, rotation, crop in cutter.cut(picture):
             file = f"{stems[view]}_{name}{chosen.suffix}"
             write_bytes(place / "images" / file, encoded(crop, chosen.suffix, chosen.quality))
+            mask_of[file] = None
             parts.append(_seen(scene, scene.tracks, view, rows, rotation, file=file, size=size, focal=cutter.focal))
+        mask = None if mask_source is None else mask_source(view)
+        if mask is not None:
+            for name, _, crop in cutter.cut(_check_mask(mask, cutter.panorama_shape, scene.view_labels()[view])):
+                file = f"{stems[view]}_{name}{chosen.suffix}"
+                mask_of[file] = f"masks/{file}.png"
+                counts = np.where(crop[:, :, 0] >= 128, 255, 0).astype(np.uint8)
+                write_bytes(place / "masks" / f"{file}.png", encoded(counts, ".png"))
         if report is not None:
             report(done + 1, len(views))
     if cutter is None:
@@ -194,7 +214,10 @@ def write_crops(
         place / "sparse" / "0", scene, parts, painted, size=size, focal=cutter.focal
     )
     write_bytes(place / "points.ply", cloud_bytes(scene, painted, component))
-    shots = [Shot(f"images/{part.file}", part.crop_from_world, scene.centers[part.view]) for part in parts]
+    shots = [
+        Shot(f"images/{part.file}", part.crop_from_world, scene.centers[part.view], mask_of[part.file])
+        for part in parts
+    ]
     write_transforms(
         place / "transforms.json",
         shots,
@@ -227,7 +250,7 @@ class _Cutter:
         if max(width, height) > _MOST_PIXELS:
             raise InputError(f"a panorama is {width} x {height} pixels, expected at most {_MOST_PIXELS} on a side")
         self.panorama_shape = (height, width)
-        self.focal = 0.5 * size / float(np.tan(0.5 * options.fov_rad))
+        self.focal = 0.5 * size / options.half_width
         self._cv2, self._size = load_opencv(), size
         # how many pixels of the panorama lie along one of the crop, at its centre
         self._finer = min(max(1, round(width / (2.0 * np.pi) / self.focal)), max(1, _MOST_PIXELS // size))
@@ -261,6 +284,15 @@ class _Cutter:
         column = width * (theta / (2.0 * np.pi) + 0.5) + 0.5
         row = height * (0.5 - phi / np.pi) + 0.5
         return column.astype(np.float32), row.astype(np.float32)
+
+
+def _check_mask(mask: Picture, shape: tuple[int, int], name: str) -> Picture:
+    """Bring a mask of one channel or three to three."""
+    if mask.shape[:2] != shape:
+        raise InputError(
+            f"the mask of {name}: is {mask.shape[1]} x {mask.shape[0]} pixels, expected {shape[1]} x {shape[0]}"
+        )
+    return np.repeat(mask[:, :, None], 3, axis=2) if mask.ndim == 2 else mask
 
 
 def _padded(picture: Picture) -> Picture:

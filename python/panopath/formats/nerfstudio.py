@@ -168,7 +168,7 @@ def write_transforms(
     content["applied_transform"] = np.eye(4)[:3].tolist()
     if ply is not None:
         content["ply_file_path"] = ply
-    head = json.dumps(content, indent=2)[:-2]
+    head = "{\n" + ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in content.items())
     frames = ",\n".join("    " + json.dumps(_frame(shot), ensure_ascii=False, allow_nan=False) for shot in shots)
     write_bytes(path, f'{head},\n  "frames": [\n{frames}\n  ]\n}}\n'.encode())
 

@@ -73,8 +73,8 @@
     if (path.length <= 250) path.forEach((_, i) => dot(i, 2.4, css("--second")));
     part.loose.forEach((i) => dot(i, 4, css("--bad"), css("--card")));
     if (path.length) {
-      dot(0, 5, css("--card"), ink);
-      if (path.length > 1) dot(path.length - 1, 5, ink, css("--card"));
+      dot(0, 5, "#ffffff", "#111111");
+      if (path.length > 1) dot(path.length - 1, 5, "#111111", "#ffffff");
     }
     const picked = part.views.indexOf(state.picked);
     if (picked >= 0) dot(picked, 7, css("--accent"), css("--card"));

@@ -50,6 +50,8 @@ class ReportNotes:
     subtitle: str = ""
     #: Unit of the scene's coordinates, such as ``m``; empty where the scale is arbitrary.
     unit: str = ""
+    #: Whether the world's z is up, so that the maps show x to the right and y ahead; else up is the cameras'.
+    is_upright: bool = False
     #: Statements that belong to the answer: where up and scale come from, what was masked.
     statements: tuple[str, ...] = ()
     #: Seconds of each stage; default: those of ``scene.summary``.
@@ -105,7 +107,7 @@ def write_report(
             f"certificate is of {len(certificate.view_component)} views, expected the scene's {len(scene.centers)}"
         )
     place = Path(path)
-    parts = _parts(scene)
+    parts = _parts(scene, said.is_upright)
     thumbs = [] if images is None else _thumbs(scene, parts, image_source(images, len(scene.centers)))
     data = {
         "unit": said.unit,
@@ -161,10 +163,20 @@ def _header(notes: ReportNotes) -> str:
 _MEANING = {
     "determined": ("good", "✓", "Determined", "The path and the points are unique, and noise moves them little."),
     "weak": ("warn", "!", "Weak", "The shape is unique, but noise moves some of it far: use it with care."),
-    "undetermined": ("bad", "✗", "Not determined", "Other scenes fit the same pictures: do not measure in this one."),
-    "contradicted": ("bad", "✗", "Contradicted", "The scene does not agree with its own pictures: do not use it."),
+    "undetermined": (
+        "bad",
+        "✗",
+        "Not determined",
+        "Other scenes fit the same observations: do not measure in this one.",
+    ),
+    "contradicted": (
+        "bad",
+        "✗",
+        "Contradicted",
+        "The scene does not agree with its own observations: something in it is wrong.",
+    ),
     "unknown": ("none", "?", "Not certified", "Nothing was said about how certain this scene is."),
-    "nothing": ("bad", "✗", "No answer", "Nothing could be determined from these pictures."),
+    "nothing": ("bad", "✗", "No answer", "Nothing could be determined from these observations."),
 }
 
 
@@ -201,22 +213,26 @@ def _facts(scene: Scene, parts: Sequence[_Part], notes: ReportNotes) -> str:
     ]
     known = np.isfinite(scene.residual_rad)
     if known.any():
-        facts.append((f"{100.0 * scene.inlier[known].mean():.3g} %", "of the observations used"))
+        facts.append((f"{100.0 * scene.inlier[known].mean():.3g} %", "observations used"))
     if np.isfinite(summary.sigma_rad):
         facts.append((f"{np.degrees(summary.sigma_rad):.2g}°", "noise of a bearing"))
     if parts:
         steps = np.linalg.norm(np.diff(parts[0].path, axis=0), axis=1).sum()
         of = " (largest part)" if scene.n_components > 1 else ""
-        facts.append(
-            (f"{steps:.3g} {notes.unit}".strip(), f"length of the path{of}" + ("" if notes.unit else ", no unit"))
-        )
+        facts.append((f"{steps:.3g} {notes.unit}".strip(), f"path length{of}" + ("" if notes.unit else ", no unit")))
     if scene.n_components > 1:
         facts.append((str(scene.n_components), "parts, each with its own scale"))
-    seconds = sum((summary.seconds if notes.seconds is None else notes.seconds).values())
+    seconds = sum(_seconds(scene, notes).values())
     if seconds > 0.0:
         facts.append((figures.duration(seconds), "in total"))
     told = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
     return f'<section class="facts">{told}</section>'
+
+
+def _seconds(scene: Scene, notes: ReportNotes) -> dict[str, float]:
+    """Time of each stage; a total among them is not a stage."""
+    seconds = scene.summary.seconds if notes.seconds is None else notes.seconds
+    return {name: value for name, value in seconds.items() if name != "total" or len(seconds) == 1}
 
 
 def _chosen(notes: ReportNotes) -> str:
@@ -239,19 +255,27 @@ class _Part:
     points: Float
 
 
-def _parts(scene: Scene) -> list[_Part]:
+def _parts(scene: Scene, is_upright: bool) -> list[_Part]:
     sizes = np.bincount(scene.view_component[scene.view_component >= 0], minlength=scene.n_components)
     axes = np.zeros((3, scene.d))
-    axes[: scene.d] = _axes(scene)
+    axes[: scene.d] = np.eye(3) if is_upright and scene.d == 3 else _axes(scene)
     parts = []
     for index in np.argsort(-sizes, kind="stable")[:_MOST_PARTS].tolist():
         members = (scene.view_component == index) & np.isfinite(scene.centers).all(axis=1)
-        views = _in_time_order(scene, np.flatnonzero(members))
+        views = _in_order(scene, np.flatnonzero(members))
         tracks = np.flatnonzero((scene.track_component == index) & np.isfinite(scene.points).all(axis=1))
         if len(views):
             path, points = scene.centers[views] @ axes.T, scene.points[tracks] @ axes.T
             parts.append(_Part(index, views, tracks, path, points))
     return parts
+
+
+def _in_order(scene: Scene, views: _Ids) -> _Ids:
+    """Views as they were taken: by time, or else by name, since pictures of a walk are numbered."""
+    time_s = None if scene.tracks is None else scene.tracks.time_s
+    if scene.view_names is None or (time_s is not None and np.isfinite(time_s[views]).all()):
+        return _in_time_order(scene, views)
+    return views[np.asarray(_core.natural_order([scene.view_names[v] for v in views.tolist()]), dtype=np.intp)]
 
 
 def _part_data(
@@ -419,8 +443,7 @@ def _certainty(scene: Scene, certificate: Certificate | None) -> str:
 
 
 def _outcome(scene: Scene, notes: ReportNotes, settings: Mapping[str, Any] | None, folder: Path) -> str:
-    seconds = scene.summary.seconds if notes.seconds is None else notes.seconds
-    parts = [figures.timings(list(seconds.items())), _outputs(notes.outputs, folder)]
+    parts = [figures.timings(list(_seconds(scene, notes).items())), _outputs(notes.outputs, folder)]
     pair = "".join(part for part in parts if part)
     told = f"<div class=two>{pair}</div>" if pair else ""
     rows = figures.flattened(dict(settings)) if settings else []

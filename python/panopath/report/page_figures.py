@@ -259,8 +259,10 @@ def rounded(value: float) -> str:
 
 def duration(seconds: float) -> str:
     """Say a time as a person would."""
+    if seconds < 0.0005:
+        return "< 1 ms"
     if seconds < 0.0995:
-        return f"{1e3 * seconds:.3g} ms"
+        return f"{1e3 * seconds:.0f} ms"
     if seconds < 99.5:
         return f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
