@@ -144,7 +144,7 @@ def test_coarse_crops_average() -> None:
     """Stripes finer than a crop's pixel become even grey, not a moiré."""
     picture = np.zeros((1024, 2048, 3), dtype=np.uint8)
     picture[:, ::2] = 255
-    cutter = _Cutter(CropOptions("perspective", 64, 60.0, 1), 64, 2048, 1024)
+    cutter = _Cutter(CropOptions("perspective", 64, 60.0, 1), 2048, 1024)
     ((_, _, crop),) = cutter.cut(picture)
     assert abs(float(crop[28:36, 28:36].mean()) - 127.5) < 3.0
     assert float(crop.std()) < 25.0
@@ -153,7 +153,7 @@ def test_coarse_crops_average() -> None:
 def test_seam_and_poles_leave_no_trace() -> None:
     for azimuth, elevation in ((180.0, 0.0), (30.0, 90.0), (0.0, -90.0)):
         rotation = crop_from_cam(azimuth, elevation)
-        cutter = _Cutter(CropOptions(), 200, WIDTH, WIDTH // 2)
+        cutter = _Cutter(CropOptions(size_px=200), WIDTH, WIDTH // 2)
         cutter._directions = [("it", rotation)]
         ((_, _, crop),) = cutter.cut(panorama(np.eye(3)))
         jumps = np.abs(np.diff(crop.astype(int), axis=0)).max(), np.abs(np.diff(crop.astype(int), axis=1)).max()

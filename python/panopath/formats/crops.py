@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -169,69 +169,40 @@ def write_crops(
         raise InputError(f"component {component} has no solved view, so there is nothing to cut crops from")
     place, source = Path(folder), image_source(images, len(scene.centers))
     mask_source = None if masks is None else image_source(masks, len(scene.centers))
-    colours, parts, size, width = ColourSum(scene), [], 0, 0
+    for name in ("images",) if masks is None else ("images", "masks"):
+        _make_folder(place / name)
+    colours, stems = ColourSum(scene), _stems(scene, views)
     cutter: _Cutter | None = None
-    mask_of: dict[str, str | None] = {}
-    _make_folder(place / "images")
-    if mask_source is not None:
-        _make_folder(place / "masks")
-    stems = _stems(scene, views)
+    crops: list[_Crop] = []
     for done, view in enumerate(views.tolist()):
-        picture = source(view)
-        if picture is None:
-            continue
-        check_panorama(picture, scene.view_labels()[view])
-        if cutter is None:
-            width = picture.shape[1]
-            size = chosen.size_for(width)
-            cutter = _Cutter(chosen, size, picture.shape[1], picture.shape[0])
-        elif picture.shape[:2] != cutter.panorama_shape:
-            raise InputError(
-                f"{scene.view_labels()[view]}: is {picture.shape[1]} x {picture.shape[0]} pixels, expected "
-                f"{cutter.panorama_shape[1]} x {cutter.panorama_shape[0]} as the first"
-            )
-        colours.add(view, picture)
-        rows = colours.observations(view)
-        rows = rows[scene.track_component[scene.tracks.track[rows]] == component]
-        for name, rotation, crop in cutter.cut(picture):
-            file = f"{stems[view]}_{name}{chosen.suffix}"
-            write_bytes(place / "images" / file, encoded(crop, chosen.suffix, chosen.quality))
-            mask_of[file] = None
-            parts.append(_seen(scene, scene.tracks, view, rows, rotation, file=file, size=size, focal=cutter.focal))
-        mask = None if mask_source is None else mask_source(view)
-        if mask is not None:
-            for name, _, crop in cutter.cut(_check_mask(mask, cutter.panorama_shape, scene.view_labels()[view])):
-                file = f"{stems[view]}_{name}{chosen.suffix}"
-                mask_of[file] = f"masks/{file}.png"
-                counts = np.where(crop[:, :, 0] >= 128, 255, 0).astype(np.uint8)
-                write_bytes(place / "masks" / f"{file}.png", encoded(counts, ".png"))
+        picture, label = source(view), scene.view_labels()[view]
+        if picture is not None:
+            check_panorama(picture, label)
+            cutter = cutter or _Cutter(chosen, picture.shape[1], picture.shape[0])
+            cutter.check_size(picture, label)
+            colours.add(view, picture)
+            rows = colours.observations(view)
+            rows = rows[scene.track_component[scene.tracks.track[rows]] == component]
+            made = _cut_view(cutter, picture, place, stems[view], scene=scene, view=view, rows=rows)
+            mask = None if mask_source is None else mask_source(view)
+            crops += made if mask is None else _with_masks(made, cutter, mask, place, label)
         if report is not None:
             report(done + 1, len(views))
     if cutter is None:
         raise InputError("images has no picture of a solved view")
     painted = colours.colours()
-    n_points, n_observations = _write_model(
-        place / "sparse" / "0", scene, parts, painted, size=size, focal=cutter.focal
-    )
+    n_points, n_observations = _write_model(place / "sparse" / "0", scene, crops, painted, cutter)
     write_bytes(place / "points.ply", cloud_bytes(scene, painted, component))
-    shots = [
-        Shot(f"images/{part.file}", part.crop_from_world, scene.centers[part.view], mask_of[part.file])
-        for part in parts
-    ]
+    shots = [Shot(f"images/{c.file}", c.crop_from_world, scene.centers[c.view], c.mask) for c in crops]
+    size, focal = cutter.size, cutter.focal
     write_transforms(
-        place / "transforms.json",
-        shots,
-        "PINHOLE",
-        width_px=size,
-        height_px=size,
-        focal_px=cutter.focal,
-        ply="points.ply",
+        place / "transforms.json", shots, "PINHOLE", width_px=size, height_px=size, focal_px=focal, ply="points.ply"
     )
-    return Crops(place, len(parts), size, cutter.focal, n_points, n_observations)
+    return Crops(place, len(crops), size, focal, n_points, n_observations)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Crop:
     """One crop, and what it sees."""
 
     view: int
@@ -241,25 +212,34 @@ class _Seen:
     track: npt.NDArray[np.int32]
     pixel: Float
     error_px: Float
+    mask: str | None = None
 
 
 class _Cutter:
     """Cuts the crops of one size of panoramas; the maps of pixels are made once."""
 
-    def __init__(self, options: CropOptions, size: int, width: int, height: int) -> None:
+    def __init__(self, options: CropOptions, width: int, height: int) -> None:
         if max(width, height) > _MOST_PIXELS:
             raise InputError(f"a panorama is {width} x {height} pixels, expected at most {_MOST_PIXELS} on a side")
         self.panorama_shape = (height, width)
-        self.focal = 0.5 * size / options.half_width
-        self._cv2, self._size = load_opencv(), size
+        self.options = options
+        self.size = options.size_for(width)
+        self.focal = 0.5 * self.size / options.half_width
+        self._cv2 = load_opencv()
         # how many pixels of the panorama lie along one of the crop, at its centre
-        self._finer = min(max(1, round(width / (2.0 * np.pi) / self.focal)), max(1, _MOST_PIXELS // size))
+        self._finer = min(max(1, round(width / (2.0 * np.pi) / self.focal)), max(1, _MOST_PIXELS // self.size))
         self._directions = options.directions()
+
+    def check_size(self, picture: Picture, name: str) -> None:
+        """Refuse a picture of another size than the first."""
+        (high, wide), (height, width) = picture.shape[:2], self.panorama_shape
+        if (high, wide) != (height, width):
+            raise InputError(f"{name}: is {wide} x {high} pixels, expected {width} x {height} as the first")
 
     def cut(self, picture: Picture) -> Iterator[tuple[str, Float, Picture]]:
         """Name, ``crop_from_cam`` and pixels of each crop."""
         padded = _padded(picture)
-        size, fine = self._size, self._size * self._finer
+        size, fine = self.size, self.size * self._finer
         for name, rotation in self._directions:
             crop = np.empty((fine, fine, 3), dtype=np.uint8)
             step = max(1, (1 << 21) // fine)
@@ -274,7 +254,7 @@ class _Cutter:
     def _map(self, rotation: Float, begin: int, end: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Where rows ``begin`` to ``end`` of the fine crop lie in the padded panorama."""
         height, width = self.panorama_shape
-        fine = self._size * self._finer
+        fine = self.size * self._finer
         x = (np.arange(fine) + 0.5 - 0.5 * fine) / (self.focal * self._finer)
         y = (np.arange(begin, end) + 0.5 - 0.5 * fine) / (self.focal * self._finer)
         ray = x[None, :, None] * rotation[0] + y[:, None, None] * rotation[1] + rotation[2]
@@ -286,13 +266,36 @@ class _Cutter:
         return column.astype(np.float32), row.astype(np.float32)
 
 
-def _check_mask(mask: Picture, shape: tuple[int, int], name: str) -> Picture:
-    """Bring a mask of one channel or three to three."""
-    if mask.shape[:2] != shape:
-        raise InputError(
-            f"the mask of {name}: is {mask.shape[1]} x {mask.shape[0]} pixels, expected {shape[1]} x {shape[0]}"
-        )
-    return np.repeat(mask[:, :, None], 3, axis=2) if mask.ndim == 2 else mask
+def _cut_view(
+    cutter: _Cutter,
+    picture: Picture,
+    folder: Path,
+    stem: str,
+    *,
+    scene: Scene,
+    view: int,
+    rows: npt.NDArray[np.intp],
+) -> list[_Crop]:
+    """Write the crops of one view."""
+    suffix, quality = cutter.options.suffix, cutter.options.quality
+    made = []
+    for name, crop_from_cam, pixels in cutter.cut(picture):
+        file = f"{stem}_{name}{suffix}"
+        write_bytes(folder / "images" / file, encoded(pixels, suffix, quality))
+        made.append(_seen(cutter, crop_from_cam, file, scene=scene, view=view, rows=rows))
+    return made
+
+
+def _with_masks(crops: list[_Crop], cutter: _Cutter, mask: Picture, folder: Path, label: str) -> list[_Crop]:
+    """Write the masks of one view's crops, in the order of these."""
+    cutter.check_size(mask, f"the mask of {label}")
+    whole = np.repeat(mask[:, :, None], 3, axis=2) if mask.ndim == 2 else mask
+    found = []
+    for crop, (_, _, pixels) in zip(crops, cutter.cut(whole), strict=True):
+        name = f"masks/{crop.file}.png"
+        write_bytes(folder / name, encoded(np.where(pixels[:, :, 0] >= 128, 255, 0).astype(np.uint8), ".png"))
+        found.append(replace(crop, mask=name))
+    return found
 
 
 def _padded(picture: Picture) -> Picture:
@@ -304,32 +307,26 @@ def _padded(picture: Picture) -> Picture:
 
 
 def _seen(
-    scene: Scene,
-    tracks: Tracks,
-    view: int,
-    rows: npt.NDArray[np.intp],
-    rotation: Float,
-    *,
-    file: str,
-    size: int,
-    focal: float,
-) -> _Seen:
-    """Observations of a view that fall into one of its crops."""
-    crop_from_world = rotation @ scene.cam_from_world[view]
-    ray = tracks.bearing[rows] @ rotation.T
+    cutter: _Cutter, crop_from_cam: Float, file: str, *, scene: Scene, view: int, rows: npt.NDArray[np.intp]
+) -> _Crop:
+    """Find the observations of a view that fall into one of its crops."""
+    tracks = cast(Tracks, scene.tracks)
+    crop_from_world = crop_from_cam @ scene.cam_from_world[view]
+    ray = tracks.bearing[rows] @ crop_from_cam.T
     found = (scene.points[tracks.track[rows]] - scene.centers[view]) @ crop_from_world.T
     front = (ray[:, 2] > _LEAST_Z) & (found[:, 2] > _LEAST_Z * np.linalg.norm(found, axis=1))
     rows, ray, found = rows[front], ray[front], found[front]
-    pixel = focal * ray[:, :2] / ray[:, 2:] + 0.5 * size
-    predicted = focal * found[:, :2] / found[:, 2:] + 0.5 * size
-    inside = ((pixel >= 0.0) & (pixel < size)).all(axis=1)
+    pixel = cutter.focal * ray[:, :2] / ray[:, 2:] + 0.5 * cutter.size
+    predicted = cutter.focal * found[:, :2] / found[:, 2:] + 0.5 * cutter.size
+    inside = ((pixel >= 0.0) & (pixel < cutter.size)).all(axis=1)
     error = np.linalg.norm(predicted - pixel, axis=1)
-    return _Seen(view, file, crop_from_world, tracks.track[rows[inside]], pixel[inside], error[inside])
+    return _Crop(view, file, crop_from_world, tracks.track[rows[inside]], pixel[inside], error[inside])
 
 
 def _write_model(
-    folder: Path, scene: Scene, parts: list[_Seen], colours: npt.NDArray[np.uint8], *, size: int, focal: float
+    folder: Path, scene: Scene, parts: list[_Crop], colours: npt.NDArray[np.uint8], cutter: _Cutter
 ) -> tuple[int, int]:
+    size, focal = cutter.size, cutter.focal
     lengths = np.array([len(part.track) for part in parts])
     track = np.concatenate([part.track for part in parts]).astype(np.int64)
     image = np.repeat(np.arange(len(parts)), lengths)

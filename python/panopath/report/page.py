@@ -167,13 +167,13 @@ _MEANING = {
         "bad",
         "✗",
         "Not determined",
-        "Other scenes fit the same observations: do not measure in this one.",
+        "Other scenes fit the same observations: do not measure here.",
     ),
     "contradicted": (
         "bad",
         "✗",
         "Contradicted",
-        "The scene does not agree with its own observations: something in it is wrong.",
+        "The scene does not fit its own observations: something is wrong.",
     ),
     "unknown": ("none", "?", "Not certified", "Nothing was said about how certain this scene is."),
     "nothing": ("bad", "✗", "No answer", "Nothing could be determined from these observations."),
@@ -271,7 +271,7 @@ def _parts(scene: Scene, is_upright: bool) -> list[_Part]:
 
 
 def _in_order(scene: Scene, views: _Ids) -> _Ids:
-    """Views as they were taken: by time, or else by name, since pictures of a walk are numbered."""
+    """Put views as they were taken: by time, or else by name, since pictures of a walk are numbered."""
     time_s = None if scene.tracks is None else scene.tracks.time_s
     if scene.view_names is None or (time_s is not None and np.isfinite(time_s[views]).all()):
         return _in_time_order(scene, views)
