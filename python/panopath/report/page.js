@@ -23,7 +23,13 @@
     return scale[k].map((a, c) => Math.round(a + s * (scale[k + 1][c] - a)));
   });
 
-  const reset = () => { state.boxes = parts[state.part].boxes.map((b) => [...b]); };
+  const shown = document.getElementById("shown");
+  const reset = () => {
+    const part = parts[state.part], drawn = part.at.length / 3;
+    const said = [drawn, part.total].map((n) => n.toLocaleString("en"));
+    shown.textContent = drawn < part.total ? `${said[0]} of ${said[1]} points drawn` : "";
+    state.boxes = parts[state.part].boxes.map((b) => [...b]);
+  };
   const pixels = (canvas, side) => {
     const [left, low, right, high] = state.boxes[side];
     const per = Math.min(canvas.width / (right - left), canvas.height / (high - low));
@@ -42,13 +48,16 @@
     const pen = canvas.getContext("2d"), view = pixels(canvas, side), n = part.at.length / 3;
     const size = Math.max(1, Math.min(3, 260 / Math.sqrt(n + 1))) * ratio;
     pen.clearRect(0, 0, canvas.width, canvas.height);
+    // dark points on dark paper, and light ones on light, would vanish
+    const lift = matchMedia("(prefers-color-scheme: dark)").matches ? (v) => 48 + 0.81 * v : (v) => 0.86 * v;
     pen.globalAlpha = state.colour === "picture" ? 0.95 : 0.75;
     const [low, step] = [part.low, part.step];
     for (let k = 0; k < n; k++) {
       const place = [0, 1, 2].map((c) => low[c] + step[c] * part.at[3 * k + c]);
       const [x, y] = view.to(flat(place, side));
       if (x < 0 || y < 0 || x > canvas.width || y > canvas.height) continue;
-      const colour = state.colour === "picture" && part.rgb ? part.rgb.subarray(3 * k, 3 * k + 3) : ramp[part.error[k]];
+      const pictured = state.colour === "picture" && part.rgb;
+      const colour = pictured ? [0, 1, 2].map((c) => lift(part.rgb[3 * k + c])) : ramp[part.error[k]];
       pen.fillStyle = `rgb(${colour[0]},${colour[1]},${colour[2]})`;
       pen.fillRect(x - size / 2, y - size / 2, size, size);
     }
@@ -122,9 +131,12 @@
         const [x, y] = view.to(flat(p, side)), off = Math.hypot(x - at[0], y - at[1]);
         if (off < least) { best = i; least = off; }
       });
-      return { best, at: [event.clientX - box.left, event.clientY - box.top], plane: [(at[0] - view.x) / view.per, (view.y - at[1]) / view.per] };
+      const plane = [(at[0] - view.x) / view.per, (view.y - at[1]) / view.per];
+      return { best, at: at.map((v) => v / ratio), plane };
     };
-    canvas.addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse") from = [event.clientX, event.clientY]; });
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.pointerType === "mouse") from = [event.clientX, event.clientY]; // a finger scrolls the page
+    });
     window.addEventListener("pointerup", () => { from = null; });
     canvas.addEventListener("pointermove", (event) => {
       if (from) {
@@ -146,7 +158,10 @@
       tip.style.top = `${at[1] + 14}px`;
     });
     canvas.addEventListener("pointerleave", () => { tip.hidden = true; });
-    canvas.addEventListener("click", (event) => { const { best } = nearest(event); if (best >= 0) pick(parts[state.part].views[best]); });
+    canvas.addEventListener("click", (event) => {
+      const { best } = nearest(event);
+      if (best >= 0) pick(parts[state.part].views[best]);
+    });
     canvas.addEventListener("dblclick", (event) => zoom(side, 2, nearest(event).plane));
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey) return; // the wheel alone scrolls the page
@@ -165,7 +180,9 @@
   }));
   const choice = document.getElementById("part");
   if (choice) choice.addEventListener("change", () => { state.part = Number(choice.value); reset(); redraw(); });
-  document.querySelectorAll(".strip button").forEach((b) => b.addEventListener("click", () => pick(Number(b.dataset.view))));
+  document.querySelectorAll(".strip button").forEach((button) => {
+    button.addEventListener("click", () => pick(Number(button.dataset.view)));
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   new ResizeObserver(redraw).observe(canvases[0]);
   reset();

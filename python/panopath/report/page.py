@@ -302,6 +302,7 @@ def _part_data(
     labels = scene.view_labels()
     return {
         "points": _base64(((points - low) / step).round().astype("<u2").tobytes()),
+        "total": len(part.tracks),
         "low": low.tolist(),
         "step": step.tolist(),
         "rgb": None if colours is None else _base64(colours[part.tracks[shown]].tobytes()),
@@ -373,7 +374,7 @@ def _map_section(scene: Scene, parts: Sequence[_Part], has_colours: bool) -> str
         f'<button data-colour={kind} aria-pressed={str(on).lower()}>{text}</button>' for kind, text, on in kinds
     ) if has_colours else "<span class=quiet>points by their error, blue small, red large</span>"  # fmt: skip
     bar = (
-        f"<div class=bar>{choice}{painted}<span class=grow></span>"
+        f"<div class=bar>{choice}{painted}<span id=shown class='quiet grow'></span>"
         '<button data-zoom=1.5 aria-label="nearer">+</button><button data-zoom=0.667 aria-label="farther">-</button>'
         "<button data-zoom=0>whole</button></div>"
     )
