@@ -33,6 +33,10 @@ _PINHOLE_ID = 1
 _MOST_PIXELS = 32_000
 #: Rays whose z is below this share of their length do not count as in front.
 _LEAST_Z = 1e-6
+#: Maps of pixels are kept from one panorama to the next where they take no more than so many bytes.
+_MOST_MAP_BYTES = 384_000_000
+
+_Map = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
@@ -229,6 +233,7 @@ class _Cutter:
         # how many pixels of the panorama lie along one of the crop, at its centre
         self._finer = min(max(1, round(width / (2.0 * np.pi) / self.focal)), max(1, _MOST_PIXELS // self.size))
         self._directions = options.directions()
+        self._maps: dict[tuple[str, int], _Map] = {}
 
     def check_size(self, picture: Picture, name: str) -> None:
         """Refuse a picture of another size than the first."""
@@ -242,24 +247,38 @@ class _Cutter:
         size, fine = self.size, self.size * self._finer
         for name, rotation in self._directions:
             crop = np.empty((fine, fine, 3), dtype=np.uint8)
-            step = max(1, (1 << 21) // fine)
+            # a strip at a time, so that what is not kept stays small whatever the size
+            step = max(1, (1 << 19) // fine)
             for begin in range(0, fine, step):
-                # a strip at a time, so that the maps stay small whatever the size
-                x, y = self._map(rotation, begin, min(begin + step, fine))
+                x, y = self._kept(name, rotation, begin, min(begin + step, fine))
                 crop[begin : begin + step] = self._cv2.remap(padded, x, y, self._cv2.INTER_LINEAR)
             if self._finer > 1:
                 crop = self._cv2.resize(crop, (size, size), interpolation=self._cv2.INTER_AREA)
             yield name, rotation, crop
 
-    def _map(self, rotation: Float, begin: int, end: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def _kept(self, name: str, rotation: Float, begin: int, end: int) -> _Map:
+        """Give a strip of a map, made anew only where all of them would not fit."""
+        key, fine = (name, begin), self.size * self._finer
+        if key in self._maps:
+            return self._maps[key]
+        made = self._map(rotation, begin, end)
+        if 8 * fine * fine * len(self._directions) <= _MOST_MAP_BYTES:
+            self._maps[key] = made
+        return made
+
+    def _map(self, rotation: Float, begin: int, end: int) -> _Map:
         """Where rows ``begin`` to ``end`` of the fine crop lie in the padded panorama."""
         height, width = self.panorama_shape
         fine = self.size * self._finer
         x = (np.arange(fine) + 0.5 - 0.5 * fine) / (self.focal * self._finer)
         y = (np.arange(begin, end) + 0.5 - 0.5 * fine) / (self.focal * self._finer)
-        ray = x[None, :, None] * rotation[0] + y[:, None, None] * rotation[1] + rotation[2]
-        theta = np.arctan2(ray[..., 0], ray[..., 2])
-        phi = np.arctan2(-ray[..., 1], np.hypot(ray[..., 0], ray[..., 2]))
+        # single precision is a thousandth of a pixel of the widest panorama, and twice as fast
+        right, down, ahead = (
+            (x[None, :] * rotation[0, c] + y[:, None] * rotation[1, c] + rotation[2, c]).astype(np.float32)
+            for c in range(3)
+        )
+        theta = np.arctan2(right, ahead)
+        phi = np.arctan2(-down, np.hypot(right, ahead))
         # one pixel of padding, and OpenCV has pixel centres at whole numbers
         column = width * (theta / (2.0 * np.pi) + 0.5) + 0.5
         row = height * (0.5 - phi / np.pi) + 0.5
@@ -300,10 +319,13 @@ def _with_masks(crops: list[_Crop], cutter: _Cutter, mask: Picture, folder: Path
 
 def _padded(picture: Picture) -> Picture:
     """One pixel more on every side: columns wrap round, and beyond a pole the other side begins."""
-    half = picture.shape[1] // 2
-    above, below = np.roll(picture[:1], half, axis=1), np.roll(picture[-1:], half, axis=1)
-    tall = np.concatenate((above, picture, below))
-    return np.concatenate((tall[:, -1:], tall, tall[:, :1]), axis=1)
+    height, width = picture.shape[:2]
+    padded = np.empty((height + 2, width + 2, 3), dtype=np.uint8)
+    padded[1:-1, 1:-1] = picture
+    padded[0, 1:-1] = np.roll(picture[0], width // 2, axis=0)
+    padded[-1, 1:-1] = np.roll(picture[-1], width // 2, axis=0)
+    padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
+    return padded
 
 
 def _seen(

@@ -118,7 +118,7 @@ def wgs84_from_ecef(position: npt.ArrayLike) -> Float:
             across - _ECCENTRICITY_2 * _AXIS_M * np.cos(parametric) ** 3,
         )
         before, parametric = parametric, np.arctan2((1.0 - _FLATTENING) * np.sin(latitude), np.cos(latitude))
-        if not np.any(np.abs(parametric - before) > 1e-16):
+        if not np.any(np.abs(parametric - before) > 1e-15):
             break
     sin, cos = np.sin(latitude), np.cos(latitude)
     # the distance from the ellipsoid along its normal: no division, so it holds at the poles and at the equator
