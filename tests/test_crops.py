@@ -35,8 +35,8 @@ def directions(width: int = WIDTH) -> Float:
 
 
 def colour_of(direction: Float) -> Float:
-    """A picture that is smooth on the sphere: each channel one coordinate, without seam or pole."""
-    return 127.5 + 110.0 * direction
+    """Waves of 26 pixels over the sphere, without seam or pole: half a pixel amiss is five counts off."""
+    return np.asarray(127.5 + 45.0 * np.sin(20.0 * direction + (0.3, 1.1, 2.0)))
 
 
 def panorama(rotation: Float, width: int = WIDTH) -> Picture:
@@ -77,9 +77,9 @@ def test_crops_show_what_the_model_says(tmp_path: Path, scene: pp.Scene, options
         assert crop.shape == (size, size, 3)
         world = ray @ image.cam_from_world().rotation.matrix()
         off = np.abs(crop.reshape(-1, 3) - colour_of(world))
-        # a count by the rounding of the panorama, a count by that of the crop, one by bilinear curvature
-        assert off.max() < 3.0, image.name
-        assert off.mean() < 0.6
+        # a count by the rounding of the panorama and of the crop, the rest by what bilinear pixels flatten
+        assert off.max() < 3.5, image.name
+        assert off.mean() < 1.0
 
 
 def test_points_reproject(tmp_path: Path, scene: pp.Scene) -> None:
@@ -156,8 +156,11 @@ def test_seam_and_poles_leave_no_trace() -> None:
         cutter = _Cutter(CropOptions(size_px=200), WIDTH, WIDTH // 2)
         cutter._directions = [("it", rotation)]
         ((_, _, crop),) = cutter.cut(panorama(np.eye(3)))
-        jumps = np.abs(np.diff(crop.astype(int), axis=0)).max(), np.abs(np.diff(crop.astype(int), axis=1)).max()
-        assert max(jumps) <= 4
+        at = (np.arange(200) + 0.5) / 100.0 - 1.0
+        x, y = np.meshgrid(at, at)
+        ray = np.stack((x, y, np.ones_like(x)), axis=-1) @ rotation
+        expected = colour_of(ray / np.linalg.norm(ray, axis=-1, keepdims=True))
+        assert np.abs(crop - expected).max() < 3.5
 
 
 def test_crop_looks_where_it_says() -> None:

@@ -22,7 +22,7 @@ from panopath.formats.structure import known_scene
 from panopath.images import Picture
 from panopath.model import Status, Summary
 from panopath.report.page import ReportNotes, write_report
-from panopath.report.page_figures import duration, flattened, rounded, size_of
+from panopath.report.page_figures import _grid, duration, flattened, rounded, size_of
 
 HOSTILE = '</script><img src=x onerror="window.hostile=1"><b>&'
 VOID = {"meta", "img", "br", "rect", "path"}
@@ -169,6 +169,21 @@ def test_histograms_count_every_observation(tmp_path: Path, walk: tuple[pp.Scene
         sum(int(found[1].replace(",", "")) for found in points if found)
         == (lengths[scene.track_component >= 0] > 0).sum()
     )
+
+
+def test_sphere_maps_hold_what_was_used(turned: pp.SyntheticWorld) -> None:
+    """Cells of the camera's sphere: counts of the observations used, their rms, and areas that make up the whole."""
+    scene = scene_of(turned)
+    assert scene.tracks is not None
+    inlier = scene.inlier & (scene.tracks.bearing[:, 1] < 0.5)  # nothing was used far below the cameras
+    grid = _grid(replace(scene, inlier=inlier))
+    assert grid is not None
+    assert grid.count.sum() == inlier.sum()
+    assert grid.count[17:].sum() == 0.0  # rows go down: 30 degrees below the horizon lies in row 16
+    assert grid.area.sum() * grid.count.shape[1] == pytest.approx(1.0)
+    told = np.isfinite(grid.rms_deg)
+    rms = np.sqrt((grid.count * np.nan_to_num(grid.rms_deg) ** 2)[told].sum() / grid.count[told].sum())
+    assert rms == pytest.approx(np.degrees(np.sqrt(np.mean(scene.residual_rad[inlier] ** 2))), rel=0.2)
 
 
 def test_planar_scene(tmp_path: Path, planar: pp.SyntheticWorld) -> None:
