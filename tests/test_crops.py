@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -201,6 +202,15 @@ def test_refuses(tmp_path: Path, scene: pp.Scene) -> None:
     for wrong in ({"kind": "fish"}, {"size_px": 3}, {"fov_deg": 200.0}, {"n_around": 0}, {"suffix": ".gif"}):
         with pytest.raises(pp.InputError, match=next(iter(wrong))):
             CropOptions(**wrong)
+
+
+def test_without_opencv_the_extra_is_named(tmp_path: Path, scene: pp.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"anything")
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(pp.InputError, match=r"panopath\[images\]"):
+        read_image(tmp_path / "a.jpg")
+    with pytest.raises(pp.InputError, match=r"panopath\[images\]"):
+        write_crops(scene, look(scene), tmp_path)
 
 
 def test_names_stay_apart(tmp_path: Path, scene: pp.Scene) -> None:

@@ -136,6 +136,7 @@ def test_each_verdict_has_its_word(
 
 
 def test_points_and_path_are_those_of_the_scene(tmp_path: Path, walk: tuple[pp.Scene, Certificate]) -> None:
+    pytest.importorskip("cv2", reason="the extra images is absent")
     scene, certificate = walk
     colours = np.random.default_rng(0).integers(0, 255, (len(scene.points), 3)).astype(np.uint8)
     notes = ReportNotes(unit="m", is_upright=True)
@@ -204,6 +205,7 @@ def test_mapped_scene(tmp_path: Path, turned: pp.SyntheticWorld) -> None:
 
 def test_scene_without_anything(tmp_path: Path) -> None:
     """Nothing determined, no tracks, no certificate: the page says so and nothing fails."""
+    pytest.importorskip("cv2", reason="the extra images is absent")
     scene = pp.Scene(
         centers=np.full((3, 3), np.nan),
         points=np.full((4, 3), np.nan),
@@ -252,6 +254,7 @@ def test_far_points_do_not_take_the_digits(tmp_path: Path, walk: tuple[pp.Scene,
 
 
 def test_hostile_names_stay_text(tmp_path: Path, walk: tuple[pp.Scene, Certificate]) -> None:
+    pytest.importorskip("cv2", reason="the extra images is absent")
     scene, certificate = walk
     names = tuple(f"{HOSTILE}{i}" for i in range(len(scene.centers)))
     notes = ReportNotes(
@@ -279,6 +282,7 @@ def test_outputs_have_links_and_sizes(tmp_path: Path, walk: tuple[pp.Scene, Cert
 
 
 def test_same_scene_same_page(tmp_path: Path, walk: tuple[pp.Scene, Certificate]) -> None:
+    pytest.importorskip("cv2", reason="the extra images is absent")
     scene, certificate = walk
     still = replace(scene, summary=replace(scene.summary, seconds={"solve": 1.0}))
     pages = []
@@ -345,6 +349,7 @@ def test_numbers_as_a_person_says_them() -> None:
 def test_in_headless_chromium(tmp_path: Path, walk: tuple[pp.Scene, Certificate], width: int) -> None:
     if importlib.util.find_spec("PyQt6") is None or importlib.util.find_spec("PyQt6.QtWebEngineCore") is None:
         pytest.skip("PyQt6-WebEngine, a headless Chromium, is absent")
+    pytest.importorskip("cv2", reason="the extra images is absent")
     scene, certificate = walk
     scene = replace(in_two_parts(scene), view_names=tuple(f"{HOSTILE}{i}" for i in range(20)))
     colours = np.full((len(scene.points), 3), 90, dtype=np.uint8)
