@@ -295,10 +295,19 @@ def equirectangular_pixels(bearing: Float, width: int, height: int) -> Float:
     return np.stack((width * (theta / (2.0 * np.pi) + 0.5), height * (0.5 - phi / np.pi)), axis=1)
 
 
-def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0, width: int = 4096) -> None:
+def write_colmap(
+    scene: Scene,
+    tracks: Tracks,
+    folder: Path,
+    component: int = 0,
+    width: int = 4096,
+    *,
+    colours: npt.NDArray[np.uint8] | None = None,
+) -> None:
     """Write one component as a binary model with one EQUIRECTANGULAR camera of ``width`` x ``width / 2`` pixels.
 
-    An image is a view; all its observations are features, and those that were used belong to their point.
+    An image is a view; all its observations are features, and those that were used belong to their point. ``colours``
+    are (n_tracks, 3) red, green and blue of the points; without them they are grey.
 
     Raises
     ------
@@ -333,7 +342,7 @@ def write_colmap(scene: Scene, tracks: Tracks, folder: Path, component: int = 0,
     points = ModelPoints(
         point_id=ids.astype(np.uint64) + np.uint64(1),
         positions=scene.points[ids],
-        color=None,
+        color=None if colours is None else colours[ids],
         error_px=np.add.reduceat(error_px, begins) / counts if len(ids) else error_px,
         starts=np.append(begins, len(by_track)),
         elements=np.stack((view[by_track] + 1, by_track - starts[view[by_track]]), axis=1),

@@ -21,12 +21,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from panopath import _core
 from panopath.certificate import Certificate
 from panopath.formats.colmap import write_colmap
 from panopath.formats.csv import quaternion_from_rotation, quoted, table_bytes
-from panopath.formats.ply import ply_bytes
+from panopath.formats.ply import check_colours, ply_bytes
 from panopath.formats.tum import tum_text
 from panopath.model import (
     Float,
@@ -54,6 +55,7 @@ def write_scene(
     overwrite: bool = False,
     extra: Callable[[Path], None] | None = None,
     certificate: Certificate | None = None,
+    colours: npt.NDArray[np.uint8] | None = None,
 ) -> Path:
     """Write a scene in every form: see the module's text for the files.
 
@@ -73,6 +75,8 @@ def write_scene(
         Called with a folder that becomes part of the answer, to add files of its own, such as pictures.
     certificate
         What is certain of the scene; becomes part of ``scene.json``.
+    colours
+        (n_tracks, 3) red, green and blue of the points, uint8; default: by error in the PLY, grey in COLMAP models.
 
     Returns
     -------
@@ -86,6 +90,8 @@ def write_scene(
         then.
     """
     place = Path(folder)
+    if colours is not None:
+        check_colours(colours, scene)
     if tracks is not None and tracks is not scene.tracks:
         scene = _with_tracks(scene, tracks)
     check_writable(place, overwrite)
@@ -95,7 +101,7 @@ def write_scene(
     except OSError as error:
         raise InputError(f"{place}: cannot be written ({error.strerror})") from None
     try:
-        _write_files(scene, staged)
+        _write_files(scene, staged, colours)
         if extra is not None:
             extra(staged)
         names = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if path.is_file())
@@ -278,15 +284,15 @@ def _umask() -> int:
     return mask
 
 
-def _write_files(scene: Scene, folder: Path) -> None:
+def _write_files(scene: Scene, folder: Path, colours: npt.NDArray[np.uint8] | None) -> None:
     _write_npz(scene, folder / "scene.npz")
     (folder / "cameras.csv").write_bytes(_cameras_csv(scene))
     (folder / "points.csv").write_bytes(_points_csv(scene))
-    (folder / "scene.ply").write_bytes(ply_bytes(scene))
+    (folder / "scene.ply").write_bytes(ply_bytes(scene, colours))
     (folder / "trajectory.tum").write_text(tum_text(scene), encoding="utf-8")
     if scene.d == 3 and scene.tracks is not None:
         for component in range(scene.n_components):
-            write_colmap(scene, scene.tracks, folder / "colmap" / str(component), component)
+            write_colmap(scene, scene.tracks, folder / "colmap" / str(component), component, colours=colours)
 
 
 def _write_npz(scene: Scene, path: Path) -> None:

@@ -1,11 +1,14 @@
-"""PLY: points coloured by their angular error, and the cameras as a path of edges."""
+"""PLY: points in the colours of the pictures or by their angular error, and the cameras as a path of edges."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, Scene
+from panopath.model import Float, InputError, Scene
 
 _VERTEX = np.dtype(
     [
@@ -20,6 +23,7 @@ _VERTEX = np.dtype(
         ("is_camera", "u1"),
     ]
 )
+_CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _EDGE = np.dtype([("vertex1", "<i4"), ("vertex2", "<i4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
 _PLY_TYPES = {"<f8": "double", "<f4": "float", "<i4": "int", "|u1": "uchar"}
 _CAMERA_COLOUR = (255, 0, 160)
@@ -49,8 +53,21 @@ def path_edges(scene: Scene) -> npt.NDArray[np.int64]:
     return np.stack((solved[:-1][together], solved[1:][together]), axis=1)
 
 
-def ply_bytes(scene: Scene) -> bytes:
-    """Binary little-endian PLY of a scene; a planar one lies in z = 0."""
+def ply_bytes(scene: Scene, colours: npt.NDArray[np.uint8] | None = None) -> bytes:
+    """Binary little-endian PLY of a scene; a planar one lies in z = 0.
+
+    Parameters
+    ----------
+    scene
+        What to write.
+    colours
+        (n_tracks, 3) red, green and blue of the points, as the pictures show them; default: by their error.
+
+    Raises
+    ------
+    InputError
+        For colours of another shape or type.
+    """
     points = np.flatnonzero(np.isfinite(scene.points).all(axis=1))
     views = np.flatnonzero(np.isfinite(scene.centers).all(axis=1))
     error_deg = np.degrees(scene.point_statistics().rms_rad[points])
@@ -58,22 +75,66 @@ def ply_bytes(scene: Scene) -> bytes:
     both = np.concatenate((scene.points[points], scene.centers[views]))
     for axis, name in zip(range(scene.d), ("x", "y", "z"), strict=False):
         vertices[name] = both[:, axis]
-    colours = np.concatenate(
-        (error_colours(error_deg), np.tile(np.array(_CAMERA_COLOUR, dtype=np.uint8), (len(views), 1)))
-    )
+    shown = error_colours(error_deg) if colours is None else check_colours(colours, scene)[points]
+    painted = np.concatenate((shown, np.tile(np.array(_CAMERA_COLOUR, dtype=np.uint8), (len(views), 1))))
     edges = path_edges(scene)
     vertex_of_view = np.zeros(len(scene.centers), dtype=np.int64)
     vertex_of_view[views] = len(points) + np.arange(len(views))
     lines = np.zeros(len(edges), dtype=_EDGE)
     lines["vertex1"], lines["vertex2"] = vertex_of_view[edges[:, 0]], vertex_of_view[edges[:, 1]]
     for c, name in enumerate(("red", "green", "blue")):
-        vertices[name] = colours[:, c]
+        vertices[name] = painted[:, c]
         lines[name] = _CAMERA_COLOUR[c]
     vertices["error_deg"] = np.concatenate((error_deg, np.full(len(views), np.nan)))
     vertices["component"] = np.concatenate((scene.track_component[points], scene.view_component[views]))
     vertices["is_camera"][len(points) :] = 1
+    return _file((("vertex", vertices), ("edge", lines)))
+
+
+def cloud_bytes(scene: Scene, colours: npt.NDArray[np.uint8], component: int | None = None) -> bytes:
+    """Binary PLY of the points alone, with what every reader of point clouds knows: x, y, z, red, green, blue.
+
+    Parameters
+    ----------
+    scene, colours
+        As for :func:`ply_bytes`.
+    component
+        Which part; default: all.
+
+    Raises
+    ------
+    InputError
+        For colours of another shape or type.
+    """
+    known = np.isfinite(scene.points).all(axis=1)
+    points = np.flatnonzero(known if component is None else known & (scene.track_component == component))
+    vertices = np.zeros(len(points), dtype=_CLOUD)
+    for axis, name in zip(range(scene.d), ("x", "y", "z"), strict=False):
+        vertices[name] = scene.points[points, axis]
+    for c, name in enumerate(("red", "green", "blue")):
+        vertices[name] = check_colours(colours, scene)[points, c]
+    return _file((("vertex", vertices),))
+
+
+def check_colours(colours: npt.NDArray[np.uint8], scene: Scene) -> npt.NDArray[np.uint8]:
+    """Hand back colours that fit the scene.
+
+    Raises
+    ------
+    InputError
+        Where they do not.
+    """
+    if colours.shape != (len(scene.points), 3) or colours.dtype != np.uint8:
+        raise InputError(
+            f"colours has type {colours.dtype} and shape {colours.shape}, expected uint8 ({len(scene.points)}, 3)"
+        )
+    return colours
+
+
+def _file(tables: Sequence[tuple[str, npt.NDArray[Any]]]) -> bytes:
     header = ["ply", "format binary_little_endian 1.0", "comment panopath"]
-    for name, table in (("vertex", vertices), ("edge", lines)):
+    for name, table in tables:
         header.append(f"element {name} {len(table)}")
         header += [f"property {_PLY_TYPES[table.dtype[field].str]} {field}" for field in table.dtype.names or ()]
-    return ("\n".join([*header, "end_header"]) + "\n").encode("ascii") + vertices.tobytes() + lines.tobytes()
+    head = "\n".join([*header, "end_header"]) + "\n"
+    return head.encode("ascii") + b"".join(table.tobytes() for _, table in tables)
