@@ -76,6 +76,7 @@ from panopath.steps import (
     view_pairs,
 )
 from panopath.synthetic import SyntheticWorld, simulate
+from panopath.walk import Walk, WalkTruth, render_walk
 
 __version__ = _core.__version__
 
@@ -130,6 +131,8 @@ __all__ = [
     "ViewGraphOptions",
     "ViewOrientations",
     "ViewPairs",
+    "Walk",
+    "WalkTruth",
     "__version__",
     "average_rotations",
     "certify",
@@ -153,6 +156,7 @@ __all__ = [
     "refine",
     "relative_pose",
     "relative_poses",
+    "render_walk",
     "required_visibility",
     "required_visible_fraction",
     "scene_covariance",

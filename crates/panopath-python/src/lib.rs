@@ -15,6 +15,7 @@ mod synthetic;
 mod table;
 mod two_view;
 mod view_graph;
+mod walk;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -31,5 +32,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     synthetic::register(module)?;
     table::register(module)?;
     view_graph::register(module)?;
+    walk::register(module)?;
     two_view::register(module)
 }
