@@ -190,14 +190,19 @@ const SUN: Vector<3> = [-0.42, -0.55, 0.72];
 /// ```
 pub fn walk(options: &WalkOptions) -> Result<Walk, WorldError> {
     options.check()?;
-    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-    let phase = std::array::from_fn(|_| rng.random());
+    // a stream for each, so that the same seed with more cars is the same street
+    let stream = |which: u64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        rng.set_stream(which);
+        rng
+    };
+    let mut wavering = stream(0);
+    let phase = std::array::from_fn(|_| wavering.random());
     let time_s: Vec<f64> = (0..options.n_frames).map(|k| k as f64 / options.frame_rate_hz).collect();
     let (centers, cam_from_world): (Vec<_>, Vec<_>) = time_s.iter().map(|&t| path::pose(options, t, &phase)).unzip();
-    rng.set_stream(1);
-    let cars = (0..options.n_movers).map(|k| Car::passing(options, k, &mut rng)).collect();
-    rng.set_stream(2);
-    let city = City::about(&centers, &mut rng);
+    let mut traffic = stream(1);
+    let cars = (0..options.n_movers).map(|k| Car::passing(options, k, &mut traffic)).collect();
+    let city = City::about(&centers, &mut stream(2));
     Ok(Walk { time_s, centers, cam_from_world, options: options.clone(), city, cars, phase })
 }
 
@@ -210,13 +215,7 @@ pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
     let (width, height) = (walk.width_px(), walk.height_px());
     let horizon: Vec<_> = (0..width).map(|x| shot.bearing(x as f64 + 0.5, 0.5 * height as f64)).collect();
     let mut pixels = vec![([0.0_f32; 3], 0_u32); width * height];
-    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        let mut veils = Vec::new();
-        let [_, down, level] = shot.bearing(0.5 * width as f64, y as f64 + 0.5);
-        for (pixel, [right, _, forward]) in row.iter_mut().zip(&horizon) {
-            *pixel = shot.see([level * right, down, level * forward], &mut veils);
-        }
-    });
+    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| shot.see_row(y, &horizon, row));
     let mut frame = vec![0; 3 * width * height];
     frame.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
         let mut veils = Vec::new();
@@ -353,6 +352,28 @@ impl<'a> Shot<'a> {
             colour = mix(colour, surfaces::operator(&bearing, self.delta), operator);
         }
         (colour, hit.block.wrapping_mul(4).wrapping_add(hit.axis as u32))
+    }
+
+    /// One row. Towards the poles the footprints of neighbours overlap, so that there every second or fourth pixel is
+    /// seen and those between two that show the same solid are interpolated.
+    fn see_row(&self, y: usize, horizon: &[Vector<3>], row: &mut [(Colour, u32)]) {
+        let mut veils = Vec::new();
+        let width = row.len();
+        let [_, down, level] = self.bearing(0.5 * width as f64, y as f64 + 0.5);
+        let bearing = |x: usize| [level * horizon[x][0], down, level * horizon[x][2]];
+        let stride = [4, 2].into_iter().find(|&n| level * n as f64 <= 1.0 && width.is_multiple_of(n)).unwrap_or(1);
+        for x in (0..width).step_by(stride) {
+            row[x] = self.see(bearing(x), &mut veils);
+        }
+        for x in (0..width).filter(|x| !x.is_multiple_of(stride)) {
+            let before = x - x % stride;
+            let (a, b) = (row[before], row[(before + stride) % width]);
+            row[x] = if a.1 == b.1 {
+                (mix(a.0, b.0, (x - before) as f32 / stride as f32), a.1)
+            } else {
+                self.see(bearing(x), &mut veils)
+            };
+        }
     }
 
     /// Mean of a pixel with an edge in it.
