@@ -120,7 +120,12 @@ impl WalkOptions {
 
     fn check(&self) -> Result<(), WorldError> {
         let width = self.width_px;
-        require("width_px", width, width % 2 == 0 && (64..=16384).contains(&width), "an even number from 64 to 16384")?;
+        require(
+            "width_px",
+            width,
+            width.is_multiple_of(2) && (64..=16384).contains(&width),
+            "an even number from 64 to 16384",
+        )?;
         require("n_frames", self.n_frames, (1..=1_000_000).contains(&self.n_frames), "a number from 1 to 1000000")?;
         require("n_movers", self.n_movers, self.n_movers <= 100, "a number up to 100")?;
         for (option, value, most, expected) in [
@@ -215,7 +220,13 @@ pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
     let (width, height) = (walk.width_px(), walk.height_px());
     let horizon: Vec<_> = (0..width).map(|x| shot.bearing(x as f64 + 0.5, 0.5 * height as f64)).collect();
     let mut pixels = vec![([0.0_f32; 3], 0_u32); width * height];
-    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| shot.see_row(y, &horizon, row));
+    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let mut veils = Vec::new();
+        let [_, down, level] = shot.bearing(0.5 * width as f64, y as f64 + 0.5);
+        for (pixel, [right, _, forward]) in row.iter_mut().zip(&horizon) {
+            *pixel = shot.see([level * right, down, level * forward], &mut veils);
+        }
+    });
     let mut frame = vec![0; 3 * width * height];
     frame.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
         let mut veils = Vec::new();
@@ -282,7 +293,7 @@ impl Car {
         let axis = place.side % 2;
         let middle = [0.0, path::BLOCK_M[0], path::BLOCK_M[1], 0.0][place.side];
         // one speed for each lane, so that none runs into another; traffic keeps to the right
-        let forward = k % 2 == 0;
+        let forward = k.is_multiple_of(2);
         let speed_m_s = if forward { 7.0 } else { -8.5 };
         let mut at = place.at;
         at[axis] -= speed_m_s * time_s;
@@ -354,28 +365,6 @@ impl<'a> Shot<'a> {
         (colour, hit.block.wrapping_mul(4).wrapping_add(hit.axis as u32))
     }
 
-    /// One row. Towards the poles the footprints of neighbours overlap, so that there every second or fourth pixel is
-    /// seen and those between two that show the same solid are interpolated.
-    fn see_row(&self, y: usize, horizon: &[Vector<3>], row: &mut [(Colour, u32)]) {
-        let mut veils = Vec::new();
-        let width = row.len();
-        let [_, down, level] = self.bearing(0.5 * width as f64, y as f64 + 0.5);
-        let bearing = |x: usize| [level * horizon[x][0], down, level * horizon[x][2]];
-        let stride = [4, 2].into_iter().find(|&n| level * n as f64 <= 1.0 && width.is_multiple_of(n)).unwrap_or(1);
-        for x in (0..width).step_by(stride) {
-            row[x] = self.see(bearing(x), &mut veils);
-        }
-        for x in (0..width).filter(|x| !x.is_multiple_of(stride)) {
-            let before = x - x % stride;
-            let (a, b) = (row[before], row[(before + stride) % width]);
-            row[x] = if a.1 == b.1 {
-                (mix(a.0, b.0, (x - before) as f32 / stride as f32), a.1)
-            } else {
-                self.see(bearing(x), &mut veils)
-            };
-        }
-    }
-
     /// Mean of a pixel with an edge in it.
     fn see_again(&self, x: f64, y: f64, veils: &mut Vec<Veil>) -> Colour {
         let mut sum = [0.0; 3];
@@ -440,7 +429,7 @@ impl<'a> Shot<'a> {
     fn face(&self, block: &Block, hit: &Hit, along: &Vector<3>, u: usize, spot: &Spot) -> Colour {
         let outwards = -along[hit.axis].signum();
         let light = 0.72 + 0.36 * (outwards * SUN[hit.axis]).max(-0.4) as f32;
-        let here = spot.from_origin(block.low[u], 0.0);
+        let here = spot.about(block.low[u], 0.0);
         let colour = match &block.kind {
             Kind::House(house) => {
                 let face = 2 * hit.axis as u32 + u32::from(outwards > 0.0);

@@ -21,8 +21,8 @@ impl Spot {
         self.w_u.max(self.w_v)
     }
 
-    /// The same footprint seen from another origin.
-    pub fn from_origin(&self, u: f64, v: f64) -> Self {
+    /// The same footprint in coordinates about another origin.
+    pub fn about(&self, u: f64, v: f64) -> Self {
         Self { u: self.u - u, v: self.v - v, ..*self }
     }
 

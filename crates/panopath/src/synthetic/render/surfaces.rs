@@ -26,7 +26,7 @@ pub(super) fn facade(house: &House, face: u32, width: f64, height: f64, spot: &S
         let storey = floor((spot.v - SHOP_M) / house.storey_m);
         let middle = margin + (f64::from(column) + 0.5) * house.column_m;
         let sill = SHOP_M + f64::from(storey) * house.storey_m + 0.9;
-        colour = window(colour, house, hash(column, storey, salt), &spot.from_origin(middle, sill));
+        colour = window(colour, house, hash(column, storey, salt), &spot.about(middle, sill));
     }
     let ledge = |from: f64, to: f64| inside(spot.v, spot.w_v, from, to);
     let ledges = ledge(height - 0.7, height) + ledge(SHOP_M - 0.16, SHOP_M);
@@ -48,7 +48,7 @@ fn wall(house: &House, salt: u32, spot: &Spot) -> Colour {
         return lit(mix(house.wall, [0.4, 0.38, 0.35], stain), 1.0 + 0.3 * rough);
     }
     let row = floor(spot.v / 0.1);
-    let shifted = spot.from_origin(0.15 * f64::from(row & 1), 0.0);
+    let shifted = spot.about(0.15 * f64::from(row & 1), 0.0);
     let course = bars(spot.v, spot.w_v, 0.1, 0.014);
     let joint = bars(shifted.u, spot.w_u, 0.3, 0.014) * kept(spot.w_v, 0.1);
     let brick = lit(house.wall, 1.0 + 0.26 * tint(&shifted, 0.3, 0.1, salt) + 0.22 * rough);
@@ -112,7 +112,7 @@ fn ground_floor(wall: Colour, house: &House, salt: u32, width: f64, spot: &Spot)
     let bay_m = width / bays;
     let bay = floor(spot.u / bay_m).clamp(0, bays as i32 - 1);
     let bits = hash(bay, 99, salt);
-    let here = spot.from_origin((f64::from(bay) + 0.5) * bay_m, 0.0);
+    let here = spot.about((f64::from(bay) + 0.5) * bay_m, 0.0);
     match bits % 4 {
         0 => poster(wall, bits, &here),
         1 => door(wall, house, bits, &here),
@@ -145,7 +145,7 @@ fn shop(wall: Colour, house: &House, bits: u32, half: f64, spot: &Spot) -> Colou
         let ground =
             pick([house.trim, [0.16, 0.2, 0.4], [0.5, 0.12, 0.12], [0.9, 0.8, 0.3], [0.12, 0.3, 0.2]], bits >> 9);
         let ink = if ground[0] + ground[1] > 1.0 { [0.12, 0.1, 0.1] } else { [0.95, 0.92, 0.82] };
-        let text = letters(&spot.from_origin(-0.85 * half, 2.62), 1.7 * half, 0.5, bits);
+        let text = letters(&spot.about(-0.85 * half, 2.62), 1.7 * half, 0.5, bits);
         colour = mix(colour, mix(ground, ink, text), board);
     }
     colour
@@ -164,7 +164,7 @@ fn door(wall: Colour, house: &House, bits: u32, spot: &Spot) -> Colour {
     colour = mix(colour, [0.85, 0.7, 0.3], spot.in_disc(0.46, 1.03, 0.05));
     // number and letter box beside it
     let plate = spot.in_rectangle((0.85, 1.15), (1.6, 1.85));
-    let digits = letters(&spot.from_origin(0.89, 1.64), 0.24, 0.17, bits);
+    let digits = letters(&spot.about(0.89, 1.64), 0.24, 0.17, bits);
     colour = mix(colour, mix([0.15, 0.2, 0.5], [0.95, 0.95, 0.95], digits), plate);
     mix(colour, [0.3, 0.3, 0.32], spot.in_rectangle((-1.25, -0.9), (1.1, 1.5)))
 }
@@ -179,8 +179,8 @@ fn poster(wall: Colour, bits: u32, spot: &Spot) -> Colour {
         if paper > 0.0 {
             let ground: Colour = std::array::from_fn(|c| 0.35 + 0.6 * unit(bits.wrapping_mul(5 + 6 * c as u32)));
             let ink: Colour = std::array::from_fn(|c| 0.5 * unit(bits.wrapping_mul(9 + 4 * c as u32)));
-            let text = letters(&spot.from_origin(left + 0.08, low + 0.1), size[0] - 0.16, 0.22, bits);
-            let above = spot.from_origin(left, low + 0.42);
+            let text = letters(&spot.about(left + 0.08, low + 0.1), size[0] - 0.16, 0.22, bits);
+            let above = spot.about(left, low + 0.42);
             let picture = (2.5 * detail(&above, 0.4, 4, bits)).clamp(0.0, 1.0);
             let picture = picture * above.in_rectangle((0.08, size[0] - 0.08), (0.0, size[1] - 0.5));
             colour = mix(colour, mix(ground, ink, text.max(picture)), paper);
@@ -245,7 +245,7 @@ fn asphalt(spot: &Spot, [x, y]: [f64; 2], rough: f32) -> Colour {
     let bits = hash(i, j, 21);
     if bits & 3 == 0 {
         let (u, v) = (6.0 * f64::from(i) + 1.0 + 4.0 * f64::from(unit(bits)), 3.0 * f64::from(j) + 1.5);
-        let iron = lit([0.24, 0.22, 0.2], 1.0 + 0.5 * tint(&spot.from_origin(u, v), 0.09, 0.09, bits));
+        let iron = lit([0.24, 0.22, 0.2], 1.0 + 0.5 * tint(&spot.about(u, v), 0.09, 0.09, bits));
         colour = mix(colour, [0.42, 0.41, 0.4], spot.in_disc(u, v, 0.42));
         colour = mix(colour, iron, spot.in_disc(u, v, 0.34));
     }
@@ -302,7 +302,7 @@ pub(super) fn car(paint: Colour, end: bool, cabin: bool, spot: &Spot) -> Colour 
     if end {
         let lamps = Spot { u: spot.u.abs(), ..*spot }.in_rectangle((0.5, 0.78), (0.55, 0.72));
         let plate = spot.in_rectangle((-0.26, 0.26), (0.36, 0.48));
-        let digits = letters(&spot.from_origin(-0.23, 0.375), 0.46, 0.09, (paint[0] * 4e6) as u32);
+        let digits = letters(&spot.about(-0.23, 0.375), 0.46, 0.09, (paint[0] * 4e6) as u32);
         colour = mix(mix(colour, [0.9, 0.88, 0.75], lamps), [0.93, 0.92, 0.85], plate);
         return mix(colour, [0.1, 0.1, 0.1], digits * plate);
     }
