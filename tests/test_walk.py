@@ -30,9 +30,11 @@ def test_the_record_keeps_its_contract(short: Walk) -> None:
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), (12, 3, 3)), atol=1e-12)
     assert not any(a.flags.writeable for a in (truth.centers, truth.cam_from_world, truth.time_s))
     frame = short.frame(3)
-    assert (frame.shape, frame.dtype) == ((128, 256, 3), np.uint8)
+    assert frame.shape == (128, 256, 3)
+    assert frame.dtype == np.uint8
     assert frame.std() > 20
-    assert (short.ranges(3).shape, short.ranges(3).dtype) == ((128, 256), np.float32)
+    assert short.ranges(3).shape == (128, 256)
+    assert short.ranges(3).dtype == np.float32
     frames = list(short.frames())
     assert len(frames) == 12
     np.testing.assert_array_equal(frames[3], frame)
