@@ -78,6 +78,7 @@ from panopath.steps import (
     view_pairs,
 )
 from panopath.synthetic import SyntheticWorld, simulate
+from panopath.walk import Walk, WalkTruth, render_walk
 
 __version__ = _core.__version__
 
@@ -133,6 +134,8 @@ __all__ = [
     "ViewGraphOptions",
     "ViewOrientations",
     "ViewPairs",
+    "Walk",
+    "WalkTruth",
     "__version__",
     "average_rotations",
     "certify",
@@ -157,6 +160,7 @@ __all__ = [
     "refine",
     "relative_pose",
     "relative_poses",
+    "render_walk",
     "required_visibility",
     "required_visible_fraction",
     "scene_covariance",

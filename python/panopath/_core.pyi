@@ -1,12 +1,13 @@
 """The compiled core: arrays in, arrays out. Use ``panopath.steps``, which wraps these in records."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "RenderedWalk",
     "__version__",
     "average_rotations",
     "bearings_from_circular",
@@ -34,6 +35,7 @@ __all__ = [
     "read_table",
     "refine",
     "relative_poses",
+    "render_walk",
     "scene_covariance",
     "simulate",
     "solve_positions",
@@ -42,6 +44,7 @@ __all__ = [
     "tracks_from_matches",
     "vertical_field_of_view",
     "view_pairs",
+    "walk_lap_m",
 ]
 
 __version__: str
@@ -162,6 +165,20 @@ _Column = npt.NDArray[np.float64] | tuple[npt.NDArray[np.int32], list[str]] | No
 def read_table(data: bytes, source: str, roles: list[str]) -> tuple[list[_Column], npt.NDArray[np.int64]]: ...
 def read_numbers(data: bytes, source: str, skip_lines: int) -> npt.NDArray[np.float64]: ...
 def natural_order(names: list[str]) -> npt.NDArray[np.int64]: ...
+
+@final
+class RenderedWalk:
+    @property
+    def centers(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def cam_from_world(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def time_s(self) -> npt.NDArray[np.float64]: ...
+    def frame(self, k: int) -> npt.NDArray[np.uint8]: ...
+    def ranges(self, k: int) -> npt.NDArray[np.float32]: ...
+
+def render_walk(options: dict[str, Any]) -> RenderedWalk: ...
+def walk_lap_m() -> float: ...
 def simulate(world: str, options: dict[str, Any]) -> dict[str, Any]: ...
 def bearings_from_spherical(angle_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]: ...
 def spherical_from_bearings(bearing: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]: ...

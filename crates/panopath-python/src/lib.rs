@@ -16,6 +16,7 @@ mod synthetic;
 mod table;
 mod two_view;
 mod view_graph;
+mod walk;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -33,5 +34,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     synthetic::register(module)?;
     table::register(module)?;
     view_graph::register(module)?;
+    walk::register(module)?;
     two_view::register(module)
 }

@@ -13,6 +13,7 @@ use crate::tracks::{Tracks, TracksError};
 
 mod layout;
 mod measure;
+pub mod render;
 
 /// A scene, what was seen of it, and what of that is wrong. `D` is 2 in the plane and 3 in space.
 ///

@@ -1,0 +1,497 @@
+//! A walk through a street, filmed by a panoramic camera: frames with exact truth.
+//!
+//! The colour of a pixel is that of the first thing along `world_from_cam * bearing(pixel)` from the centre, averaged over
+//! the solid angle of a pixel: surfaces average themselves (`filter`, `surfaces`), thin things cover a known share of the
+//! pixel, and pixels on edges between solids are sampled again [`SAMPLES`] times. Frames are COLMAP's `EQUIRECTANGULAR`,
+//! `width x width / 2` pixels of 8-bit RGB, row by row. World z is up, the ground is `z = 0`, metres and seconds.
+//!
+//! The city is a grid of streets without end: their middles lie at x = multiples of 75 m and y = multiples of 52 m,
+//! kerbs 4 m and houses 8 m from these. Middles are marked by dashes that start at multiples of 6 m and are 3 m long.
+
+use std::str::FromStr;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::{WorldError, choose, require};
+use crate::geometry::{Rotation, Vector, dot};
+use city::{Ball, Block, City, FAR_M, GROUND, Hit, Item, Kind, Moving, Post, Ray, SKY, Veil};
+use filter::{Colour, Spot, hash, lit, mix};
+
+mod city;
+mod filter;
+mod path;
+mod surfaces;
+
+/// Where the walk leads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum WalkPath {
+    /// Along one street.
+    #[default]
+    Straight,
+    /// Along one street and, half way, to the left into another.
+    Corner,
+    /// Round a block, once in [`Walk::lap_m`] metres, and on into the next lap.
+    Loop,
+}
+
+impl FromStr for WalkPath {
+    type Err = WorldError;
+
+    fn from_str(text: &str) -> Result<Self, WorldError> {
+        choose("path", text, &[("straight", Self::Straight), ("corner", Self::Corner), ("loop", Self::Loop)])
+    }
+}
+
+/// How the camera turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum WalkRotation {
+    /// Not at all: upright, forward is the world's x, as of footage with a locked direction.
+    None,
+    /// It follows the path and sways by a few degrees.
+    #[default]
+    Sway,
+    /// It turns over slowly, about all axes.
+    Tumble,
+}
+
+impl FromStr for WalkRotation {
+    type Err = WorldError;
+
+    fn from_str(text: &str) -> Result<Self, WorldError> {
+        choose("rotation", text, &[("none", Self::None), ("sway", Self::Sway), ("tumble", Self::Tumble)])
+    }
+}
+
+/// What is to be filmed, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WalkOptions {
+    /// Width of a frame, twice its height: 1280.
+    pub width_px: usize,
+    /// Number of frames: 264, which is 37 m.
+    pub n_frames: usize,
+    /// Frames in a second: 10.
+    pub frame_rate_hz: f64,
+    /// Speed of the walk: 1.4.
+    pub speed_m_s: f64,
+    /// Where it leads: straight on.
+    pub path: WalkPath,
+    /// How the camera turns: it sways.
+    pub rotation: WalkRotation,
+    /// Cars that pass by while the camera is there: 0.
+    pub n_movers: usize,
+    /// Share of the sphere, about the camera's y axis, that the one who carries it covers: 0.
+    pub operator_share: f64,
+    /// From the darkest frame to the lightest, in factors of two of the light: 0.
+    pub exposure_drift_stops: f64,
+    /// Standard deviation of the noise, in steps of the 8-bit values: 0.
+    pub noise_gray: f64,
+    /// Seed of the city, of the wavering of the walk and of the noise: 0.
+    pub seed: u64,
+}
+
+impl Default for WalkOptions {
+    fn default() -> Self {
+        Self {
+            width_px: 1280,
+            n_frames: 264,
+            frame_rate_hz: 10.0,
+            speed_m_s: 1.4,
+            path: WalkPath::default(),
+            rotation: WalkRotation::default(),
+            n_movers: 0,
+            operator_share: 0.0,
+            exposure_drift_stops: 0.0,
+            noise_gray: 0.0,
+            seed: 0,
+        }
+    }
+}
+
+impl WalkOptions {
+    fn length_m(&self) -> f64 {
+        self.speed_m_s * self.duration_s()
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.n_frames.saturating_sub(1) as f64 / self.frame_rate_hz
+    }
+
+    fn check(&self) -> Result<(), WorldError> {
+        let width = self.width_px;
+        require(
+            "width_px",
+            width,
+            width.is_multiple_of(2) && (64..=16384).contains(&width),
+            "an even number from 64 to 16384",
+        )?;
+        require("n_frames", self.n_frames, (1..=1_000_000).contains(&self.n_frames), "a number from 1 to 1000000")?;
+        require("n_movers", self.n_movers, self.n_movers <= 100, "a number up to 100")?;
+        for (option, value, most, expected) in [
+            ("operator_share", self.operator_share, 0.5, "a share from 0 to 0.5"),
+            ("exposure_drift_stops", self.exposure_drift_stops, 4.0, "a number from 0 to 4"),
+            ("noise_gray", self.noise_gray, 64.0, "a number from 0 to 64"),
+            ("speed_m_s", self.speed_m_s, 50.0, "a number from 0 to 50"),
+        ] {
+            require(option, value, (0.0..=most).contains(&value), expected)?;
+        }
+        let rate = self.frame_rate_hz;
+        require("frame_rate_hz", rate, (0.01..=1000.0).contains(&rate), "a number from 0.01 to 1000")?;
+        let length = self.length_m();
+        require("length of the walk", length, self.path == WalkPath::Loop || length <= 5000.0, "at most 5000 m")
+    }
+}
+
+/// A walk that can be filmed: the city, and the truth of each frame.
+pub struct Walk {
+    /// When each frame is taken.
+    pub time_s: Vec<f64>,
+    /// Where the camera is.
+    pub centers: Vec<Vector<3>>,
+    /// How it is turned.
+    pub cam_from_world: Vec<Rotation<3>>,
+    options: WalkOptions,
+    city: City,
+    cars: Vec<Car>,
+    phase: [f64; 8],
+}
+
+/// A car on its way: where it is at time zero, and how fast.
+struct Car {
+    at: [f64; 2],
+    axis: usize,
+    speed_m_s: f64,
+    paint: Colour,
+}
+
+/// Samples of a pixel that lies on an edge: one in each row and column of an 8 x 8 grid.
+const SAMPLES: [[f64; 2]; 8] = [
+    [0.0625, 0.4375],
+    [0.1875, 0.8125],
+    [0.3125, 0.1875],
+    [0.4375, 0.6875],
+    [0.5625, 0.3125],
+    [0.6875, 0.9375],
+    [0.8125, 0.5625],
+    [0.9375, 0.0625],
+];
+/// Towards the sun.
+const SUN: Vector<3> = [-0.42, -0.55, 0.72];
+
+/// Builds the city about a walk; the same options give the same frames.
+///
+/// # Errors
+/// [`WorldError::Range`] naming the option that is out of range.
+///
+/// # Examples
+/// ```
+/// use panopath::synthetic::render::{WalkOptions, render_frame, walk};
+/// # fn main() -> Result<(), panopath::synthetic::WorldError> {
+/// let street = walk(&WalkOptions { width_px: 64, n_frames: 2, ..Default::default() })?;
+/// assert_eq!(render_frame(&street, 1)?.len(), 64 * 32 * 3);
+/// # Ok(())
+/// # }
+/// ```
+pub fn walk(options: &WalkOptions) -> Result<Walk, WorldError> {
+    options.check()?;
+    // a stream for each, so that the same seed with more cars is the same street
+    let stream = |which: u64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+        rng.set_stream(which);
+        rng
+    };
+    let mut wavering = stream(0);
+    let phase = std::array::from_fn(|_| wavering.random());
+    let time_s: Vec<f64> = (0..options.n_frames).map(|k| k as f64 / options.frame_rate_hz).collect();
+    let (centers, cam_from_world): (Vec<_>, Vec<_>) = time_s.iter().map(|&t| path::pose(options, t, &phase)).unzip();
+    let mut traffic = stream(1);
+    let cars = (0..options.n_movers).map(|k| Car::passing(options, k, &mut traffic)).collect();
+    let city = City::about(&centers, &mut stream(2));
+    Ok(Walk { time_s, centers, cam_from_world, options: options.clone(), city, cars, phase })
+}
+
+/// Renders frame `k`: `height * width * 3` bytes, row by row, RGB.
+///
+/// # Errors
+/// [`WorldError::Range`] where there is no such frame.
+pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
+    let shot = Shot::of(walk, k)?;
+    let (width, height) = (walk.width_px(), walk.height_px());
+    let horizon: Vec<_> = (0..width).map(|x| shot.bearing(x as f64 + 0.5, 0.5 * height as f64)).collect();
+    let mut pixels = vec![([0.0_f32; 3], 0_u32); width * height];
+    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let mut veils = Vec::new();
+        let [_, down, level] = shot.bearing(0.5 * width as f64, y as f64 + 0.5);
+        for (pixel, [right, _, forward]) in row.iter_mut().zip(&horizon) {
+            *pixel = shot.see([level * right, down, level * forward], &mut veils);
+        }
+    });
+    let mut frame = vec![0; 3 * width * height];
+    frame.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
+        let mut veils = Vec::new();
+        for (x, bytes) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let at = |x: usize, y: usize| pixels[y * width + x].1;
+            let here = at(x, y);
+            let neighbours = [
+                at((x + 1) % width, y),
+                at((x + width - 1) % width, y),
+                at(x, (y + 1).min(height - 1)),
+                at(x, y.saturating_sub(1)),
+            ];
+            let colour = if neighbours.iter().all(|&id| id == here) {
+                pixels[y * width + x].0
+            } else {
+                shot.see_again(x as f64, y as f64, &mut veils)
+            };
+            *bytes = shot.develop(colour, (y * width + x) as u32);
+        }
+    });
+    Ok(frame)
+}
+
+/// Distance from the centre to what the middle of each pixel of frame `k` shows, row by row; infinite for the sky, NaN for
+/// the operator.
+///
+/// # Errors
+/// [`WorldError::Range`] where there is no such frame.
+pub fn render_ranges(walk: &Walk, k: usize) -> Result<Vec<f32>, WorldError> {
+    let shot = Shot::of(walk, k)?;
+    let mut ranges = vec![0.0; walk.width_px() * walk.height_px()];
+    ranges.par_chunks_mut(walk.width_px()).enumerate().for_each(|(y, row)| {
+        let mut veils = Vec::new();
+        for (x, range) in row.iter_mut().enumerate() {
+            *range = shot.range(shot.bearing(x as f64 + 0.5, y as f64 + 0.5), &mut veils);
+        }
+    });
+    Ok(ranges)
+}
+
+impl Walk {
+    /// Width of a frame.
+    pub fn width_px(&self) -> usize {
+        self.options.width_px
+    }
+
+    /// Height of a frame.
+    pub fn height_px(&self) -> usize {
+        self.options.width_px / 2
+    }
+
+    /// Length of a lap of [`WalkPath::Loop`], along the line about which the walk wavers.
+    pub fn lap_m() -> f64 {
+        path::lap_m()
+    }
+}
+
+impl Car {
+    /// The `k`-th car: beside the camera at its share of the time, on the street that the camera then is in.
+    fn passing(o: &WalkOptions, k: usize, rng: &mut ChaCha8Rng) -> Self {
+        let apart_s = (o.duration_s() / o.n_movers as f64).max(1.2);
+        let time_s = 0.5 * o.duration_s() + (k as f64 - 0.5 * (o.n_movers as f64 - 1.0)) * apart_s;
+        let place = path::place(o, o.speed_m_s * time_s);
+        let axis = place.side % 2;
+        let middle = [0.0, path::BLOCK_M[0], path::BLOCK_M[1], 0.0][place.side];
+        // one speed for each lane, so that none runs into another; traffic keeps to the right
+        let forward = k.is_multiple_of(2);
+        let speed_m_s = if forward { 7.0 } else { -8.5 };
+        let mut at = place.at;
+        at[axis] -= speed_m_s * time_s;
+        let right = if axis == 0 { -1.0 } else { 1.0 };
+        at[1 - axis] = middle + if forward { 1.15 * right } else { -1.15 * right };
+        Self { at, axis, speed_m_s, paint: city::paint(rng) }
+    }
+
+    fn blocks(&self, time_s: f64) -> [Block; 2] {
+        let mut at = self.at;
+        at[self.axis] += self.speed_m_s * time_s;
+        city::car(at, self.axis, self.speed_m_s > 0.0, self.paint)
+    }
+}
+
+/// One frame in the making.
+struct Shot<'a> {
+    walk: &'a Walk,
+    center: Vector<3>,
+    world_from_cam: Rotation<3>,
+    camera: crate::sphere::Equirectangular,
+    movers: Vec<Moving>,
+    /// Angle of a pixel.
+    delta: f64,
+    gain: f32,
+    salt: u32,
+}
+
+impl<'a> Shot<'a> {
+    fn of(walk: &'a Walk, k: usize) -> Result<Self, WorldError> {
+        require("frame", k, k < walk.time_s.len(), "a number below the number of frames")?;
+        let (o, time_s, center) = (&walk.options, walk.time_s[k], walk.centers[k]);
+        let blocks = walk.cars.iter().flat_map(|car| car.blocks(time_s));
+        let drift = (std::f64::consts::TAU * (1.3 * time_s / o.duration_s().max(1.0) + walk.phase[7])).sin();
+        // displays raise to the power of 2.2, so light of 2^s is a value of 2^(s / 2.2)
+        let gain = (0.5 * o.exposure_drift_stops * drift / 2.2).exp2() as f32;
+        let size = [o.width_px as f64, 0.5 * o.width_px as f64];
+        Ok(Self {
+            walk,
+            center,
+            world_from_cam: walk.cam_from_world[k].inverse(),
+            camera: crate::sphere::Equirectangular { width_px: size[0], height_px: size[1] },
+            movers: blocks.map(|block| Moving::new(block, &center)).collect(),
+            delta: std::f64::consts::TAU / size[0],
+            gain,
+            salt: hash(k as i32, o.seed as i32, (o.seed >> 32) as u32),
+        })
+    }
+
+    fn bearing(&self, x_px: f64, y_px: f64) -> Vector<3> {
+        self.camera.bearing([x_px, y_px])
+    }
+
+    /// Colour along a bearing, and a number that differs between the solids of two neighbouring pixels.
+    fn see(&self, bearing: Vector<3>, veils: &mut Vec<Veil>) -> (Colour, u32) {
+        let operator = self.operator(&bearing);
+        if operator >= 1.0 {
+            return (surfaces::operator(&bearing, self.delta), SKY - 1);
+        }
+        let ray = Ray::new(self.center, self.world_from_cam.apply(&bearing), self.delta);
+        let hit = self.walk.city.trace(&ray, &self.movers, veils);
+        let mut colour = self.solid(&hit, &ray.along);
+        for veil in veils.iter().rev() {
+            colour = mix(colour, self.veil(veil, &ray.along), veil.share);
+        }
+        if operator > 0.0 {
+            colour = mix(colour, surfaces::operator(&bearing, self.delta), operator);
+        }
+        (colour, hit.block.wrapping_mul(4).wrapping_add(hit.axis as u32))
+    }
+
+    /// Mean of a pixel with an edge in it.
+    fn see_again(&self, x: f64, y: f64, veils: &mut Vec<Veil>) -> Colour {
+        let mut sum = [0.0; 3];
+        for [right, down] in SAMPLES {
+            let (colour, _) = self.see(self.bearing(x + right, y + down), veils);
+            sum = std::array::from_fn(|c| sum[c] + colour[c]);
+        }
+        lit(sum, 1.0 / SAMPLES.len() as f32)
+    }
+
+    fn range(&self, bearing: Vector<3>, veils: &mut Vec<Veil>) -> f32 {
+        if self.operator(&bearing) >= 0.5 {
+            return f32::NAN;
+        }
+        let ray = Ray::new(self.center, self.world_from_cam.apply(&bearing), self.delta);
+        let hit = self.walk.city.trace(&ray, &self.movers, veils);
+        let mut seen = 1.0;
+        for veil in veils.iter() {
+            seen *= 1.0 - veil.share;
+            if seen < 0.5 {
+                return veil.distance as f32;
+            }
+        }
+        if hit.block == SKY { f32::INFINITY } else { hit.distance as f32 }
+    }
+
+    /// Share of the pixel that the operator covers: a cap about the camera's y axis whose rim wavers in height but not on
+    /// average, so that it covers just the share that was asked for (a zone's area goes with its height).
+    fn operator(&self, bearing: &Vector<3>) -> f32 {
+        let share = self.walk.options.operator_share;
+        if share <= 0.0 || bearing[1] < 0.6 - 2.0 * share {
+            return 0.0;
+        }
+        let azimuth = bearing[0].atan2(bearing[2]);
+        let waver = 0.5 * (2.0 * azimuth).cos() + 0.3 * (3.0 * azimuth + 1.0).sin() + 0.2 * (7.0 * azimuth).sin();
+        let rim = 1.0 - 2.0 * share + share.min(0.2) * waver;
+        let slope = (1.0 - rim * rim).max(0.01).sqrt();
+        ((bearing[1] - rim) / (slope * self.delta) + 0.5).clamp(0.0, 1.0) as f32
+    }
+
+    fn solid(&self, hit: &Hit, along: &Vector<3>) -> Colour {
+        if hit.block == SKY || hit.distance > FAR_M {
+            return surfaces::sky(along, self.delta);
+        }
+        let at: Vector<3> = std::array::from_fn(|c| self.center[c] + hit.distance * along[c]);
+        let (u, v) = [(1, 2), (0, 2), (0, 1)][hit.axis];
+        // tangent offset e of the ray moves the spot by distance * (e - along (n e) / (n along))
+        let widen = |c: usize| hit.distance * self.delta * (1.0 + (along[c] / along[hit.axis]).powi(2)).sqrt();
+        let spot = Spot { u: at[u], v: at[v], w_u: widen(u), w_v: widen(v) };
+        let colour = if hit.block == GROUND {
+            lit(surfaces::ground(&spot), 0.72 + 0.36 * SUN[2] as f32)
+        } else {
+            let blocks = &self.walk.city.blocks;
+            let k = hit.block as usize;
+            let block = if k < blocks.len() { &blocks[k] } else { &self.movers[k - blocks.len()].block };
+            self.face(block, hit, along, u, &spot)
+        };
+        self.haze(colour, hit.distance)
+    }
+
+    /// Face of a block; `u` is its horizontal axis.
+    fn face(&self, block: &Block, hit: &Hit, along: &Vector<3>, u: usize, spot: &Spot) -> Colour {
+        let outwards = -along[hit.axis].signum();
+        let light = 0.72 + 0.36 * (outwards * SUN[hit.axis]).max(-0.4) as f32;
+        let here = spot.about(block.low[u], 0.0);
+        let colour = match &block.kind {
+            Kind::House(house) => {
+                let face = 2 * hit.axis as u32 + u32::from(outwards > 0.0);
+                surfaces::facade(house, face, block.high[u] - block.low[u], block.high[2], &here)
+            }
+            Kind::Car { paint, axis, forward, cabin } if hit.axis != 2 => {
+                let sign = if *forward { 1.0 } else { -1.0 };
+                let middle = 0.5 * (block.low[u] + block.high[u]);
+                let local = Spot { u: sign * (spot.u - middle), ..*spot };
+                surfaces::car(*paint, hit.axis == *axis, *cabin, &local)
+            }
+            Kind::Car { paint, .. } => lit(*paint, 0.95),
+            Kind::Awning(paint) => {
+                let stripes = filter::bars(spot.u, spot.w_u, 0.5, 0.25);
+                mix(*paint, [0.92, 0.9, 0.84], stripes)
+            }
+        };
+        lit(colour, light)
+    }
+
+    fn veil(&self, veil: &Veil, along: &Vector<3>) -> Colour {
+        let at: Vector<3> = std::array::from_fn(|c| self.center[c] + veil.distance * along[c]);
+        let width = veil.distance * self.delta;
+        let colour = match veil.item {
+            Item::Post(k) => {
+                let Post { at: axis, radius, colour, seed, .. } = self.walk.city.posts[k as usize];
+                let normal = [(at[0] - axis[0]) / radius, (at[1] - axis[1]) / radius];
+                let facing = (normal[0] * along[0] + normal[1] * along[1]).abs().max(0.2);
+                let round = radius * normal[1].atan2(normal[0]);
+                let light = 0.78 + 0.3 * (normal[0] * SUN[0] + normal[1] * SUN[1]) as f32;
+                let spot = Spot { u: round, v: at[2], w_u: width / facing, w_v: width };
+                lit(surfaces::post(colour, seed, &spot), light)
+            }
+            Item::Ball(k) => {
+                let Ball { center, radius, colour, seed } = self.walk.city.balls[k as usize];
+                let normal: Vector<3> = std::array::from_fn(|c| (at[c] - center[c]) / radius);
+                let facing = dot(&normal, along).abs().max(0.25);
+                let light = 0.8 + 0.35 * dot(&normal, &SUN) as f32;
+                lit(surfaces::ball(colour, seed, &at, width / facing), light)
+            }
+            Item::Block(_) => surfaces::HAZE,
+        };
+        self.haze(colour, veil.distance)
+    }
+
+    fn haze(&self, colour: Colour, distance: f64) -> Colour {
+        let share = (distance / FAR_M) as f32;
+        mix(colour, surfaces::HAZE, share * share * (3.0 - 2.0 * share))
+    }
+
+    /// Values of 8 bits: exposure, then noise.
+    fn develop(&self, colour: Colour, pixel: u32) -> [u8; 3] {
+        let noise = self.walk.options.noise_gray as f32;
+        std::array::from_fn(|c| {
+            let mut value = 255.0 * self.gain * colour[c];
+            if noise > 0.0 {
+                // four bytes add up to nearly a Gaussian of standard deviation sqrt(4 / 12) of a byte
+                let bits = hash(pixel as i32, c as i32, self.salt);
+                let sum: u32 = bits.to_le_bytes().iter().map(|&byte| u32::from(byte)).sum();
+                value += noise * (sum as f32 - 510.0) * (1.0 / 147.8);
+            }
+            (value + 0.5) as u8
+        })
+    }
+}
