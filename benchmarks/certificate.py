@@ -95,7 +95,7 @@ def status_mb(name: str) -> float:
 
 
 def forget_peak() -> None:
-    """Hand freed memory back, so that what the solve took is not there to be used again; start the peak anew (Linux)."""
+    """Hand freed memory back, so that none of the solve is used again, and start the peak anew (Linux)."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

@@ -313,10 +313,12 @@ fn so_have_planar_scenes() {
 #[test]
 fn points_that_are_fewer_stay_in_the_system() {
     for model in [Known, Free, Vertical] {
-        let mut case = Case::<3>::default();
-        case.centers = places(large(model, 3), &[0.0; 3], 2.0, 1);
-        case.points = places(12, &[1.0, 0.0, 0.0], 4.0, 2);
-        case.seen = all_pairs(case.centers.len(), 12).filter(|(i, j)| (i + 3 * j) % 7 != 0).collect();
+        let n = large(model, 3);
+        let case = Case {
+            centers: places(n, &[0.0; 3], 2.0, 1),
+            points: places(12, &[1.0, 0.0, 0.0], 4.0, 2),
+            seen: all_pairs(n, 12).filter(|(i, j)| (i + 3 * j) % 7 != 0).collect(),
+        };
         let found = agree(&case, model, true);
         assert_eq!(found.verdict, Verdict::Determined);
         values_agree(&case, model);
@@ -325,8 +327,7 @@ fn points_that_are_fewer_stay_in_the_system() {
 
 /// Parts of three views, the last of each the first of the next; every track lives in one part only.
 fn windows<const D: usize>(n_parts: usize) -> Case<D> {
-    let mut case = Case::<D>::default();
-    case.centers = places(2 * n_parts + 1, &[0.0; D], 1.0, 3);
+    let mut case = Case { centers: places(2 * n_parts + 1, &[0.0; D], 1.0, 3), ..Default::default() };
     for (i, center) in case.centers.iter_mut().enumerate() {
         center[0] += i as f64;
     }
