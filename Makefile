@@ -42,6 +42,7 @@ format: $(STAMPS)/dev  ## are all files formatted?
 
 lint: $(STAMPS)/dev  ## clippy and ruff
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
+	RUSTDOCFLAGS='-D warnings' cargo doc --no-deps --quiet -p panopath
 	$(BIN)/ruff check .
 
 types: $(STAMPS)/package $(STAMPS)/dev  ## mypy --strict
@@ -77,6 +78,7 @@ bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README and docs again
 	$(BIN)/python docs/figures.py
 	$(BIN)/python -m docs.figures_certificate
+	$(BIN)/python -m docs.figures_counting
 
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist
 	$(BIN)/maturin build --release --out dist

@@ -32,6 +32,8 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 MRCLAM = ("mrclam1", "mrclam2", "mrclam4", "mrclam6", "mrclam9")
 VICTORIA_WINDOW_M = 4.0
 LINEAR = pp.PositionOptions(method="linear")
+#: Sections of ``benchmarks.real_certificates`` begin with this; they are the last of the page.
+CERTIFICATES = "certificate_"
 
 
 @dataclass(frozen=True)
@@ -425,8 +427,9 @@ def page(sections: dict[str, str]) -> str:
         "# Real data",
         prose(
             """
-            Written by `python -m benchmarks.real_data` (orientations given) and, where a heading says that they are
-            unknown, by `python -m benchmarks.real_orientation`; do not edit. Positions and points are found from
+            Written by `python -m benchmarks.real_data` (orientations given), where a heading says that they are
+            unknown by `python -m benchmarks.real_orientation`, and the certificates at the end by `python -m
+            benchmarks.real_certificates`; do not edit. Positions and points are found from
             bearings alone; errors are what remains after a similarity (shift, rotation, scale) laid over the
             largest jointly scaled part: over its views and landmarks in the plane, over its views in space, where far
             points have no certain distance. "From truth" is the same refinement started from the true positions: what
@@ -436,6 +439,7 @@ def page(sections: dict[str, str]) -> str:
         f"{datetime.now(UTC).strftime('%Y-%m-%d')}, {about['cpu']}, {about['cores']} cores; {found}",
     ]
     names = [*(name for name in SECTIONS if name in sections), *(name for name in sections if name not in SECTIONS)]
+    names.sort(key=lambda name: name.startswith(CERTIFICATES))
     marked = [f"<!-- {name} -->\n{sections[name]}\n<!-- end -->" for name in names]
     return "\n\n".join([*head, *marked]) + "\n"
 

@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import panopath as pp
@@ -37,8 +36,6 @@ NOISE_DEG = (0.0, 0.02, 0.05, 0.1)
 EXACT_SIGMA_RAD = 1e-9
 #: Singular values below this share of the largest are zero to the dense method.
 DENSE_TOLERANCE = 1e-9
-#: The certificate, where this build has one.
-CORE: Any = pp
 
 Method = Callable[[Configuration, pp.Tracks, pp.Scene, float], Verdict]
 
@@ -56,9 +53,7 @@ class Answer:
 
 
 def main() -> None:
-    methods: dict[str, Method] = {"dense null space": dense, "status of the solver": status}
-    if hasattr(pp, "certify"):
-        methods = {"certify": certificate, **methods}
+    methods: dict[str, Method] = {"certify": certificate, "dense null space": dense, "status of the solver": status}
     answers: dict[str, list[Answer]] = {name: [] for name in methods}
     for noise_deg in NOISE_DEG:
         for c in configurations():
@@ -70,16 +65,13 @@ def main() -> None:
                 seconds = time.perf_counter() - clock
                 answers[name].append(Answer(c, noise_deg, is_whole(scene), verdict, seconds))
     print_methods(answers)
-    if "certify" in answers:
-        print_families(answers["certify"])
-        print_faults()
-    else:
-        print("\n(this build has no panopath.certify)")
+    print_families(answers["certify"])
+    print_faults()
 
 
 def certificate(c: Configuration, tracks: pp.Tracks, scene: pp.Scene, sigma_rad: float) -> Verdict:
-    options = CORE.CertifyOptions(orientation=c.orientation, sigma_rad=sigma_rad)
-    return Verdict(CORE.certify(tracks, scene, options).verdict)
+    options = pp.CertifyOptions(orientation=c.orientation, sigma_rad=sigma_rad)
+    return Verdict(pp.certify(tracks, scene, options).verdict)
 
 
 def dense(c: Configuration, tracks: pp.Tracks, scene: pp.Scene, sigma_rad: float) -> Verdict:
@@ -138,8 +130,8 @@ def print_faults() -> None:
     """Nullity, components and causes without noise, where they are not the exact ones."""
     wrong = []
     for c in configurations():
-        options = CORE.CertifyOptions(orientation=c.orientation, sigma_rad=EXACT_SIGMA_RAD)
-        wrong += faults(c, CORE.certify(*exact_case(c), options))
+        options = pp.CertifyOptions(orientation=c.orientation, sigma_rad=EXACT_SIGMA_RAD)
+        wrong += faults(c, pp.certify(*exact_case(c), options))
     print(f"\n{len(wrong)} faults without noise in {len(configurations())} configurations")
     for line in wrong:
         print(line)

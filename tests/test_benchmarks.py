@@ -1,7 +1,6 @@
 """The plumbing of the benchmarks: alignment, pairwise directions, readers, pages, fresh processes."""
 
 import json
-import sys
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -9,22 +8,19 @@ from typing import Any
 import numpy as np
 import panopath as pp
 import pytest
+from panopath.model import Float
+
+from benchmarks import job, page, run
+from benchmarks.cases import CASES, Case
+from benchmarks.directions import pairwise_directions
+from benchmarks.peers import PEERS, Bearings, _check_pycolmap_input, _pycolmap_reconstruction
+from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh, read_victoria_park
+from benchmarks.real_data import SECTIONS, section, sections_of
+from benchmarks.real_data import page as real_page
+from benchmarks.scoring import align, camera_rms, distances
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
-# pytest may be started from anywhere: the benchmarks are a package of the repository's root, not an installed one
-sys.path.insert(0, str(REPOSITORY))
-
-from panopath.model import Float  # noqa: E402
-
-from benchmarks import job, page, run  # noqa: E402
-from benchmarks.cases import CASES, Case  # noqa: E402
-from benchmarks.directions import pairwise_directions  # noqa: E402
-from benchmarks.peers import PEERS, Bearings, _check_pycolmap_input, _pycolmap_reconstruction  # noqa: E402
-from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh, read_victoria_park  # noqa: E402
-from benchmarks.real_data import SECTIONS, section, sections_of  # noqa: E402
-from benchmarks.real_data import page as real_page  # noqa: E402
-from benchmarks.scoring import align, camera_rms, distances  # noqa: E402
 
 
 def _world(**options: Any) -> pp.SyntheticWorld:

@@ -165,7 +165,12 @@ def test_weak_and_inconsistent_say_so() -> None:
     bent = certificate_of(scene, consistency=gate)
     assert bent.verdict is Verdict.DETERMINED
     assert not bent.is_determined
-    assert bent.sentence().endswith("; but the scene contradicts its bearings (1 reason)")
+    told = "; but the scene contradicts its bearings: views 3 to 4: half of their observations are rejected."
+    assert bent.sentence().endswith(told)
+    wrong = replace(bent, verdict=Verdict.WEAK)
+    assert wrong.sentence() == f"weak: all 5 views, all 12 points{told}"
+    few = replace(certificate_of(scene), verdict=Verdict.WEAK, n_views=9)
+    assert few.sentence().startswith("weak: 5 of 9 views, all 12 points, too few of those that were observed; ")
     assert bent.explain()[1] == "inconsistent: views 3 to 4: half of their observations are rejected."
 
 
@@ -462,7 +467,7 @@ def test_check_says_what_is_loose(run: Run, tmp_path: Path) -> None:
     told = run("check", "oval.csv", "-v")
     assert told.code == 3
     assert told.out.startswith("undetermined: no part of its 4 views and 4 points is rigid")
-    for text in ("verdict", "free movements: 4, of which the gauge has 3", "mode 1 (null", "noise: "):
+    for text in ("free movements: 4, of which the gauge has 3", "mode 1 (null", "noise: "):
         assert text in told.out
     plain = run("check", "oval.csv", "--json")
     assert (plain.code, plain.json["nullity"], plain.json["is_determined"]) == (3, 4, False)
@@ -512,7 +517,7 @@ def test_check_without_matplotlib(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     def absent(*_: Any) -> None:
         raise pp.MissingExtraError("pictures need matplotlib")
 
-    monkeypatch.setattr("panopath.cli.draw_certificate", absent)
+    monkeypatch.setattr("panopath.cli.certifying.draw_certificate", absent)
     run("simulate", "box", "-o", "b.csv", "--views", "6", "--points", "20")
     told = run("check", "b.csv", "-o", "found")
     assert (told.code, told.err.strip()) == (0, "panopath: pictures need matplotlib")

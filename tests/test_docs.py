@@ -17,7 +17,13 @@ from panopath.cli import app
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-RUNNING = ("README.md", "docs/tutorial-first-solve.md", "docs/tutorial-unknown-orientation.md", "docs/paper.md")
+RUNNING = (
+    "README.md",
+    "docs/tutorial-first-solve.md",
+    "docs/tutorial-unknown-orientation.md",
+    "docs/tutorial-certificate.md",
+    "docs/paper.md",
+)
 
 
 def fenced(page: str, language: str) -> list[tuple[int, str]]:

@@ -16,7 +16,6 @@ import panopath as pp
 import pytest
 
 pycolmap = pytest.importorskip("pycolmap", reason="the extra colmap is not installed")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from panopath.cli import main  # noqa: E402
 from panopath.mapping import MapOptions, MappedDatabase, map_database  # noqa: E402

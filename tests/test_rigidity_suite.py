@@ -29,9 +29,6 @@ from rigidity_suite import (
 )
 
 FAMILIES = sorted({name for name, *_ in families()})
-#: The core may not be there yet.
-core: Any = pp
-needs_certify = pytest.mark.skipif(not hasattr(pp, "certify"), reason="panopath.certify is absent")
 
 
 @cache
@@ -184,29 +181,26 @@ def test_noise_excuses_weak_only() -> None:
 # --- the certificate
 
 
-@needs_certify
 @pytest.mark.parametrize("family", FAMILIES)
 def test_no_misses_and_no_false_alarms(family: str) -> None:
     wrong = []
     for c in by_family()[family]:
-        options = core.CertifyOptions(orientation=c.orientation, sigma_rad=1e-9)
-        wrong += faults(c, core.certify(*exact_case(c), options))
+        options = pp.CertifyOptions(orientation=c.orientation, sigma_rad=1e-9)
+        wrong += faults(c, pp.certify(*exact_case(c), options))
     assert not wrong, "\n".join(wrong)
 
 
-@needs_certify
 @pytest.mark.parametrize("noise_deg", [0.02, 0.05, 0.1])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_with_noise_it_errs_towards_weak_only(family: str, noise_deg: float) -> None:
     wrong = []
     for c in by_family()[family]:
         tracks, scene = noisy_case(c, np.radians(noise_deg))
-        options = core.CertifyOptions(orientation=c.orientation, sigma_rad=np.radians(noise_deg))
-        wrong += noisy_faults(c, scene, core.certify(tracks, scene, options))
+        options = pp.CertifyOptions(orientation=c.orientation, sigma_rad=np.radians(noise_deg))
+        wrong += noisy_faults(c, scene, pp.certify(tracks, scene, options))
     assert not wrong, "\n".join(wrong)
 
 
-@needs_certify
 def test_weak_is_the_exception() -> None:
     sigma_rad = np.radians(0.02)
     verdicts = []
@@ -214,7 +208,7 @@ def test_weak_is_the_exception() -> None:
         if not c.ambiguous:
             tracks, scene = noisy_case(c, sigma_rad)
             if is_whole(scene):
-                options = core.CertifyOptions(orientation=c.orientation, sigma_rad=sigma_rad)
-                verdicts.append(core.certify(tracks, scene, options).verdict)
+                options = pp.CertifyOptions(orientation=c.orientation, sigma_rad=sigma_rad)
+                verdicts.append(pp.certify(tracks, scene, options).verdict)
     assert len(verdicts) > 300
     assert verdicts.count(Verdict.DETERMINED) > 0.85 * len(verdicts)

@@ -43,6 +43,7 @@ from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.steps import (
     CertifyOptions,
+    ConsistencyOptions,
     CorrespondenceOptions,
     FeatureTracks,
     FullVisibility,
@@ -62,6 +63,7 @@ from panopath.steps import (
     ViewPairs,
     average_rotations,
     certify,
+    check_consistency,
     find_headings,
     fit_rotations,
     full_visibility,
@@ -86,6 +88,7 @@ __all__ = [
     "Certificate",
     "CertifyOptions",
     "Consistency",
+    "ConsistencyOptions",
     "Control",
     "CorrespondenceOptions",
     "Database",
@@ -133,6 +136,7 @@ __all__ = [
     "__version__",
     "average_rotations",
     "certify",
+    "check_consistency",
     "evaluate",
     "find_headings",
     "fit_rotations",

@@ -17,6 +17,7 @@ __all__ = [
     "bearings_from_planar_compass",
     "bearings_from_spherical",
     "certify",
+    "check_consistency",
     "circular_from_bearings",
     "compass_from_bearings",
     "cylindrical_from_bearings",
@@ -70,6 +71,13 @@ def solve_positions(
     options: Mapping[str, Any],
     start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
 ) -> dict[str, Any]: ...
+def check_consistency(
+    observations: _Observations,
+    cam_from_world: npt.NDArray[np.float64] | None,
+    scene: _Start,
+    inlier: npt.NDArray[np.bool_],
+    options: Mapping[str, Any],
+) -> tuple[list[str], list[tuple[str, float, float]]]: ...
 def refine(
     observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,

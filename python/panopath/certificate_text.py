@@ -18,6 +18,8 @@ from panopath.model import Float
 if TYPE_CHECKING:
     from panopath.certificate import Cause, Certificate, Hinge, Mode, RigidComponent
 
+#: A view whose standard deviation is beyond this share of its distance from its neighbours is held loosely.
+LOOSE_VIEW = 0.1
 #: Members of a list that are named before the rest is only counted.
 _MOST_NAMES = 3
 #: Rows of a list (modes, hinges, weakly held views) that are told before the rest is only counted.
@@ -68,9 +70,9 @@ def sentence(certificate: Certificate, names: Names | None = None) -> str:
         told.append(_what_noise_does(certificate))
     told += _first_reason(certificate, called)
     if not certificate.consistency.passed:
-        told.append(
-            f"but the scene contradicts its bearings ({_count(len(certificate.consistency.reasons), 'reason')})"
-        )
+        reasons = certificate.consistency.reasons
+        more = f" (and {_count(len(reasons) - 1, 'more contradiction')})" if len(reasons) > 1 else ""
+        told.append(f"but the scene contradicts its bearings: {reasons[0]}{more}")
     return f"{certificate.verdict}: {'; '.join(told)}"
 
 
@@ -155,7 +157,7 @@ def looseness_lines(certificate: Certificate, names: Names | None = None) -> lis
     called = names or Names()
     held = certificate.view_looseness
     order = np.argsort(np.where(np.isfinite(held), -held, np.inf), kind="stable")
-    weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > certificate.weak_movement]
+    weak = [view for view in order.tolist() if np.isfinite(held[view]) and held[view] > LOOSE_VIEW]
     told = [
         f"weakly held: {called.of_views([view])}, to {percent(held[view])} of its distance from the views around it"
         for view in weak
@@ -180,7 +182,9 @@ def _what_holds(certificate: Certificate) -> str:
         f"{_share(len(largest.tracks), certificate.n_tracks, 'point')}"
     )
     if certificate.verdict == "weak":
-        return f"{told}, but {_what_noise_does(certificate)}"
+        if any(part.verdict == "weak" for part in certificate.components):
+            return f"{told}, but {_what_noise_does(certificate)}"
+        return told if not certificate.consistency.passed else f"{told}, too few of those that were observed"
     return told if certificate.verdict == "determined" else f"the largest rigid part has {told}"
 
 
@@ -218,10 +222,13 @@ _KINDS = ("views", "tracks")
 
 def _first_reason(certificate: Certificate, names: Names) -> list[str]:
     """Give the first exact cause, and how many others there are."""
-    if not certificate.causes:
+    all_firm = certificate.verdict != "undetermined" and all(p.verdict == "determined" for p in certificate.components)
+    # a few loose points belong to every scene: they are told where something is weak
+    causes = [cause for cause in certificate.causes if cause.is_exact or not all_firm]
+    if not causes:
         return []
-    first = next((cause for cause in certificate.causes if cause.is_exact), certificate.causes[0])
-    others = len(certificate.causes) - 1
+    first = next((cause for cause in causes if cause.is_exact), causes[0])
+    others = len(causes) - 1
     more = f" (and {_count(others, 'more cause', 'more causes')})" if others else ""
     return [cause_sentence(first, certificate, names) + more]
 
@@ -340,6 +347,10 @@ def _weak_join(case: _Case) -> tuple[str, str]:
 
 
 def _other(case: _Case) -> tuple[str, str]:
+    if not case.cause.is_exact:
+        if not len(case.cause.tracks):
+            return f"{case.names.of_views(case.cause.views)} may be off", "little holds them to the views around them"
+        return case.changes_shape(), "noise moves them far, or hides that they can"
     detail = _in_brackets(case.cause.detail)
     return case.changes_shape(), f"the bearings allow it, for a reason that has no name{detail}"
 

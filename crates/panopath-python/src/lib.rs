@@ -2,6 +2,7 @@
 use pyo3::prelude::*;
 
 mod conditions;
+mod consistency;
 mod convert;
 mod correspondence;
 mod headings;
@@ -21,6 +22,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     orientation::register(module)?;
     conditions::register(module)?;
+    consistency::register(module)?;
     correspondence::register(module)?;
     headings::register(module)?;
     motion::register(module)?;

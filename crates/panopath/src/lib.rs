@@ -16,6 +16,7 @@
 #![warn(missing_docs)]
 
 mod bundle;
+pub mod consistency;
 pub mod correspondence;
 pub mod geometry;
 pub mod headings;

@@ -327,7 +327,8 @@ fn points_that_are_fewer_stay_in_the_system() {
 
 /// Parts of three views, the last of each the first of the next; every track lives in one part only.
 fn windows<const D: usize>(n_parts: usize) -> Case<D> {
-    let mut case = Case { centers: places(2 * n_parts + 1, &[0.0; D], 1.0, 3), ..Default::default() };
+    let centers = places(2 * n_parts + 1, &[0.0; D], 1.0, 3);
+    let mut case = Case::<D> { centers, ..Case::default() };
     for (i, center) in case.centers.iter_mut().enumerate() {
         center[0] += i as f64;
     }
@@ -513,11 +514,12 @@ fn assert_same<const D: usize>(found: &Certificate<D>, expected: &Certificate<D>
     let kinds =
         |c: &Certificate<D>| c.causes.iter().map(|c| (c.kind, c.views.len(), c.tracks.len())).collect::<Vec<_>>();
     assert_eq!(kinds(found), kinds(expected), "{what}");
-    let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-5 * b.abs() || (a.is_nan() && b.is_nan());
-    for (a, b) in found.components.iter().zip(&expected.components) {
-        assert!(close(a.weakest_movement, b.weakest_movement), "{what}: {a:?}, expected {b:?}");
-    }
+    let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-3 * b.abs() || (a.is_nan() && b.is_nan());
+    // firm modes, and firm points, are looked for no longer than it takes to see that they are firm
     let near = |a: f64, b: f64| close(a, b) || (a - b).abs() < 2e-2 * b;
+    for (a, b) in found.components.iter().zip(&expected.components) {
+        assert!(near(a.weakest_movement, b.weakest_movement), "{what}: {a:?}, expected {b:?}");
+    }
     let looseness = |c: &Certificate<D>| [c.view_looseness.clone(), c.track_looseness.clone()].concat();
     for (k, (a, b)) in looseness(found).into_iter().zip(looseness(expected)).enumerate() {
         assert!(near(a, b), "{what}: looseness {k} is {a}, expected {b}");

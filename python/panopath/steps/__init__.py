@@ -2,6 +2,7 @@
 
 from panopath.steps.certificate import CertifyOptions, certify
 from panopath.steps.conditions import FullVisibility, full_visibility
+from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
@@ -25,6 +26,7 @@ from panopath.steps.view_graph import ViewGraphOptions, ViewPairs, view_pairs
 
 __all__ = [
     "CertifyOptions",
+    "ConsistencyOptions",
     "CorrespondenceOptions",
     "FeatureTracks",
     "FullVisibility",
@@ -44,6 +46,7 @@ __all__ = [
     "ViewPairs",
     "average_rotations",
     "certify",
+    "check_consistency",
     "find_headings",
     "fit_rotations",
     "full_visibility",

@@ -12,7 +12,6 @@ from panopath.certificate import (
     Cause,
     CauseKind,
     Certificate,
-    Consistency,
     Gap,
     Hinge,
     Mode,
@@ -21,7 +20,8 @@ from panopath.certificate import (
     Verdict,
 )
 from panopath.model import InputError, Int, Scene, Tracks, read_only
-from panopath.steps.common import call_core, observations_of
+from panopath.steps.common import call_core, known_views, observations_of
+from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.refinement import check_scene
 
 
@@ -31,8 +31,8 @@ class CertifyOptions:
 
     #: What is known of orientations: all of it, nothing, or the vertical (the third axis of the world).
     orientation: OrientationModel = "known"
-    #: Angular standard deviation of a bearing, radians, of median sigma where the tracks carry sigmas. None: that of the
-    #: tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
+    #: Angular standard deviation of a bearing, radians; of median sigma where the tracks carry sigmas. None: that of
+    #: the tracks, else what the residuals tell; 0.1 degrees where these tell nothing.
     sigma_rad: float | None = None
     #: A movement at one standard deviation beyond this share of a component's size is weak.
     weak_movement: float = 0.05
@@ -75,11 +75,12 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
     check_scene(scene, tracks)
     if tracks.d == 2 and chosen.orientation == "vertical":
         raise InputError("orientation is 'vertical', which tells nothing in the plane, expected 'known' or 'free'")
+    orientations, centers = known_views(scene)
     found = call_core(
         _core.certify,
         observations_of(tracks),
-        scene.cam_from_world,
-        (scene.centers, scene.points, scene.view_component, scene.track_component),
+        orientations,
+        (centers, scene.points, scene.view_component, scene.track_component),
         (scene.inlier, scene.residual_rad),
         {
             "orientation": chosen.orientation,
@@ -89,8 +90,12 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         },
     )
     components = tuple(_component(plain) for plain in found["components"])
+    consistency = check_consistency(tracks, scene, ConsistencyOptions(threads=chosen.threads))
+    verdict = Verdict(found["verdict"])
+    if verdict == Verdict.DETERMINED and not consistency.passed:
+        verdict = Verdict.WEAK
     return Certificate(
-        verdict=Verdict(found["verdict"]),
+        verdict=verdict,
         nullity=found["nullity"],
         gauge_freedoms=found["gauge_freedoms"],
         gap=Gap(*found["gap"]),
@@ -98,7 +103,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         hinges=_hinges(components),
         modes=tuple(_mode(plain) for plain in found["modes"]),
         causes=tuple(cause_of(plain, tracks.d) for plain in found["causes"]),
-        consistency=Consistency(passed=True, reasons=(), statistics={}),
+        consistency=consistency,
         orientation=chosen.orientation,
         sigma_rad=found["sigma_rad"],
         sigma_source=found["sigma_source"],
@@ -146,7 +151,7 @@ def cause_of(plain: dict[str, Any], d: int) -> Cause:
 
 
 def _largest(members: list[Int], count: int) -> Int:
-    """The first set that each index is a member of: sets come largest first."""
+    """Find the first set that each index is a member of; sets come largest first."""
     component = np.full(count, -1, dtype=np.int32)
     for number, ids in reversed(list(enumerate(members))):
         component[ids] = number

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Int, Tracks, check_orientations
+from panopath.model import Float, InputError, Int, Scene, Tracks, check_orientations
 
 #: View, track and bearing of each observation, numbers of views and tracks, sigma_rad.
 Observations = tuple[Int, Int, Float, int, int, Float | None]
@@ -30,3 +31,15 @@ def observations_of(tracks: Tracks) -> Observations:
 def orientations_of(tracks: Tracks, cam_from_world: npt.ArrayLike | None) -> Float | None:
     """Orientations checked against the tracks; None stays None."""
     return None if cam_from_world is None else check_orientations(cam_from_world, tracks.n_views, tracks.d)
+
+
+def known_views(scene: Scene) -> tuple[Float, Float]:
+    """Orientations and centres; a view without an orientation has no centre, and any orientation."""
+    by_view = scene.cam_from_world.reshape(len(scene.centers), -1)
+    unknown = ~np.isfinite(by_view).all(axis=1)
+    if not unknown.any():
+        return scene.cam_from_world, scene.centers
+    orientations, centers = np.array(scene.cam_from_world), np.array(scene.centers)
+    orientations[unknown] = 0.0 if scene.d == 2 else np.eye(3)
+    centers[unknown] = np.nan
+    return orientations, centers

@@ -5,7 +5,7 @@
 //! panorama with one centre), plus what is known beforehand. Up to a similarity, where nothing known fixes it.
 //!
 //! `D` is 2 or 3 and `V = D (D + 1) / 2` the number of unknowns of a view: `refine::<3, 6>`, `refine::<2, 3>`. Residuals are on the
-//! sphere, which has neither a seam nor poles. Points are eliminated; [`poses`] says how a view's unknowns move its rays.
+//! sphere, which has neither a seam nor poles. Points are eliminated; `poses` says how a view's unknowns move its rays.
 
 use std::time::Instant;
 

@@ -8,6 +8,8 @@ use crate::geometry::Vector;
 const ON_SHAPE: f64 = 1e-7;
 /// Members lie nearly on a shape within this many standard deviations of a bearing.
 const NEARLY_SIGMAS: f64 = 30.0;
+/// Pairs of a view and a point above which no such shape is looked for: nobody arranges so many.
+const MANY_PAIRS: usize = 10_000;
 
 /// All causes: of null modes first.
 pub(super) fn find<const D: usize>(inquiry: &Inquiry<'_, D>, gauge_freedoms: usize) -> Vec<Cause> {
@@ -48,17 +50,19 @@ fn of_null_modes<const D: usize>(inquiry: &Inquiry<'_, D>, gauge_freedoms: usize
     name_causes(&scene, &found, ON_SHAPE.max(inquiry.null_below))
 }
 
-/// A component that is rigid, and ambiguous but for the noise: the shape that its members nearly lie on, where every view
-/// sees every point.
+/// A component that is rigid, and perhaps ambiguous but for the noise: the shape that its members nearly lie on. A conic through
+/// all of them, or two lines, is a reason however little of them is seen; other shapes are where every view sees every point.
 fn of_weak_modes<const D: usize>(inquiry: &Inquiry<'_, D>, component: usize) -> Vec<Cause> {
     let found = &inquiry.components[component];
     let sees_all = found.n_observations == found.views.len() * found.tracks.len();
     let mut causes = Vec::new();
-    if sees_all && inquiry.orientation == OrientationModel::Known {
+    if inquiry.orientation == OrientationModel::Known && found.views.len() * found.tracks.len() < MANY_PAIRS {
         let at = |ids: &[u32], x: &[Vector<D>]| -> Vec<Vector<D>> { ids.iter().map(|&i| x[i as usize]).collect() };
         let (centers, points) = (at(&found.views, inquiry.scene.centers), at(&found.tracks, inquiry.scene.points));
-        let tolerance = NEARLY_SIGMAS * inquiry.noise.sigma_rad;
-        causes = failing_conditions(&centers, &points, tolerance);
+        causes = failing_conditions(&centers, &points, NEARLY_SIGMAS * inquiry.noise.sigma_rad);
+        causes.retain(|cause| {
+            sees_all || matches!(cause.kind, CauseKind::Conic | CauseKind::TwoLines1 | CauseKind::TwoLines2)
+        });
         for cause in &mut causes {
             cause.views = cause.views.iter().map(|&v| found.views[v as usize]).collect();
             cause.tracks = cause.tracks.iter().map(|&t| found.tracks[t as usize]).collect();
@@ -67,9 +71,10 @@ fn of_weak_modes<const D: usize>(inquiry: &Inquiry<'_, D>, component: usize) -> 
         }
     }
     if causes.is_empty() {
-        let mut cause = Cause::new(CauseKind::Other, "a mode that noise moves far, or that may be free but for noise");
+        let mut cause = Cause::new(CauseKind::Other, "");
         (cause.views, cause.tracks) = (found.views.clone(), found.tracks.clone());
         cause.components = vec![component as u32];
+        cause.is_exact = false;
         causes.push(cause);
     }
     causes
@@ -84,13 +89,18 @@ fn loose_members<const D: usize>(inquiry: &Inquiry<'_, D>) -> Vec<Cause> {
     let mut causes = Vec::new();
     let (views, tracks) = (beyond(&inquiry.view_looseness, LOOSE_VIEW), beyond(&inquiry.track_looseness, LOOSE_POINT));
     if !views.is_empty() {
-        let mut cause = Cause::new(CauseKind::Other, "views that little holds in place");
-        cause.views = views;
+        let mut cause = Cause::new(CauseKind::Other, "held by little");
+        (cause.views, cause.is_exact) = (views, false);
         causes.push(cause);
     }
     if !tracks.is_empty() {
-        let mut cause = Cause::new(CauseKind::CameraCollinear, "within the noise");
-        cause.tracks = tracks;
+        let mut cause = Cause::new(CauseKind::CameraCollinear, "");
+        if let [track] = tracks[..] {
+            let sees = |o: &usize| inquiry.counts[*o] && inquiry.scene.track[*o] == track;
+            cause.views = (0..inquiry.counts.len()).filter(sees).map(|o| inquiry.scene.view[o]).collect();
+            cause.views.sort_unstable();
+        }
+        (cause.tracks, cause.is_exact) = (tracks, false);
         causes.push(cause);
     }
     causes

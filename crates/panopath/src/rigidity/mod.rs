@@ -3,11 +3,11 @@
 //! The bearing-rigidity matrix maps displacements of views and points to turns of the observed segments,
 //! `P_ij (dX_j - q_ij) / r_ij`, with `q_ij` the displacement of view `i` as seen from point `j` (a turn of the view takes part
 //! in it where orientations are free). Its null space at a scene holds the gauge; every further dimension is a family of
-//! scenes with the same bearings. Rigid components follow from the stretch rates of the segments ([`stretch`]); with noise,
+//! scenes with the same bearings. Rigid components follow from the stretch rates of the segments (`stretch`); with noise,
 //! a mode of energy `E` moves by `sigma / sqrt(E)` at one standard deviation.
 //!
 //! Who saw whom and where all are is everything that counts: measured bearings do not enter. Members that hang loose by
-//! themselves are left out first ([`ends`]); each connected rest is looked at in a frame of its own, and each rigid
+//! themselves are left out first (`ends`); each connected rest is looked at in a frame of its own, and each rigid
 //! component in turn.
 
 mod causes;
@@ -159,8 +159,12 @@ const NOISE_MODES: usize = 3;
 pub const LOOSE_VIEW: f64 = 0.1;
 /// A point whose standard deviation is beyond this share of its distance is.
 pub const LOOSE_POINT: f64 = 0.2;
-/// Share of points that may hang loose in a determined component: those straight ahead of a straight path.
+/// Share of points that may hang loose in a determined component of few points.
 const LOOSE_POINTS: f64 = 0.05;
+/// The same in one of many: a walk has points straight ahead, and points that were seen only while it stood still.
+const LOOSE_OF_MANY: f64 = 0.3;
+/// Points from which on there are many.
+const MANY_POINTS: usize = 100;
 /// Share of the views, and of the tracks, with observations that a determined scene may leave out.
 const LEFT_OUT: f64 = 0.05;
 /// A mode that moves by more than this at one standard deviation is followed, to see whether it gets weaker on its way.
@@ -539,7 +543,9 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             *slot = slot.min(looseness * sigma);
             loose_points += usize::from(looseness.is_nan() || looseness * sigma > LOOSE_POINT);
         }
-        if loose_views > 0 || loose_points as f64 > LOOSE_POINTS * frame.part.n_tracks() as f64 {
+        let n_points = frame.part.n_tracks();
+        let loose_share = if n_points < MANY_POINTS { LOOSE_POINTS } else { LOOSE_OF_MANY };
+        if loose_views > 0 || loose_points as f64 > loose_share * n_points as f64 {
             verdict = verdict.max(Verdict::Weak);
         }
         self.components[component].verdict = verdict;

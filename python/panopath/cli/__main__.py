@@ -1,0 +1,5 @@
+"""``python -m panopath.cli``."""
+
+from panopath.cli import main
+
+main()
