@@ -268,7 +268,7 @@ def ladybug(folder: Path, images: Path) -> str:
                 every[2],
                 images,
                 "ladybug",
-                "Ladybug 49, rotations unknown: one part, determined",
+                "Ladybug 49, rotations unknown: one part",
                 "rms size of the path",
             ),
         ]

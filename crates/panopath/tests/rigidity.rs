@@ -313,10 +313,12 @@ fn so_have_planar_scenes() {
 #[test]
 fn points_that_are_fewer_stay_in_the_system() {
     for model in [Known, Free, Vertical] {
-        let mut case = Case::<3>::default();
-        case.centers = places(large(model, 3), &[0.0; 3], 2.0, 1);
-        case.points = places(12, &[1.0, 0.0, 0.0], 4.0, 2);
-        case.seen = all_pairs(case.centers.len(), 12).filter(|(i, j)| (i + 3 * j) % 7 != 0).collect();
+        let n = large(model, 3);
+        let case = Case {
+            centers: places(n, &[0.0; 3], 2.0, 1),
+            points: places(12, &[1.0, 0.0, 0.0], 4.0, 2),
+            seen: all_pairs(n, 12).filter(|(i, j)| (i + 3 * j) % 7 != 0).collect(),
+        };
         let found = agree(&case, model, true);
         assert_eq!(found.verdict, Verdict::Determined);
         values_agree(&case, model);
@@ -512,11 +514,12 @@ fn assert_same<const D: usize>(found: &Certificate<D>, expected: &Certificate<D>
     let kinds =
         |c: &Certificate<D>| c.causes.iter().map(|c| (c.kind, c.views.len(), c.tracks.len())).collect::<Vec<_>>();
     assert_eq!(kinds(found), kinds(expected), "{what}");
-    let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-5 * b.abs() || (a.is_nan() && b.is_nan());
-    for (a, b) in found.components.iter().zip(&expected.components) {
-        assert!(close(a.weakest_movement, b.weakest_movement), "{what}: {a:?}, expected {b:?}");
-    }
+    let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-3 * b.abs() || (a.is_nan() && b.is_nan());
+    // firm modes, and firm points, are looked for no longer than it takes to see that they are firm
     let near = |a: f64, b: f64| close(a, b) || (a - b).abs() < 2e-2 * b;
+    for (a, b) in found.components.iter().zip(&expected.components) {
+        assert!(near(a.weakest_movement, b.weakest_movement), "{what}: {a:?}, expected {b:?}");
+    }
     let looseness = |c: &Certificate<D>| [c.view_looseness.clone(), c.track_looseness.clone()].concat();
     for (k, (a, b)) in looseness(found).into_iter().zip(looseness(expected)).enumerate() {
         assert!(near(a, b), "{what}: looseness {k} is {a}, expected {b}");

@@ -21,6 +21,9 @@ const REALLY_FAR: f64 = 0.1;
 const FAR_MULTIPLE: f64 = 600.0;
 /// For a near point it is what noise gives to modes, times this: its views err too.
 const NEAR_MULTIPLE: f64 = 1.4;
+/// Inverse iterations for what a point's rays resist least, and the relative change of the variance that ends them.
+const MOST_ITERATIONS: usize = 40;
+const SETTLED: f64 = 1e-4;
 /// Views that share tracks with a view and are compared with it, the nearest in the pattern.
 const NEIGHBOURS: usize = 48;
 
@@ -308,11 +311,14 @@ impl<const D: usize> Slide<D> {
             (length.is_finite() && length > 0.0).then(|| x.times(1.0 / length))
         };
         let mut along = unit(&reach.plus_scaled(1e-3, &Lanes::from_vector::<D>(&[1.0; D])))?;
-        let mut variance = f64::INFINITY;
-        for _ in 0..3 {
+        let mut variance = 0.0;
+        for _ in 0..MOST_ITERATIONS {
             let next = factor.solve(&along);
-            variance = next.dot::<D>(&along);
+            let before = std::mem::replace(&mut variance, next.dot::<D>(&along));
             along = unit(&next)?;
+            if variance - before <= SETTLED * variance {
+                break;
+            }
         }
         Some((along, variance))
     }
