@@ -4,6 +4,7 @@ use pyo3::prelude::*;
 mod consistency;
 mod convert;
 mod correspondence;
+mod descriptors;
 mod headings;
 mod motion;
 mod orientation;
@@ -22,6 +23,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     orientation::register(module)?;
     consistency::register(module)?;
     correspondence::register(module)?;
+    descriptors::register(module)?;
     headings::register(module)?;
     motion::register(module)?;
     positions::register(module)?;
