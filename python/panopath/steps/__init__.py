@@ -3,6 +3,7 @@
 from panopath.steps.certificate import CertifyOptions, certify
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
+from panopath.steps.descriptors import FeatureMatches, MatchOptions, MotionGuides, match_features
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
@@ -27,10 +28,13 @@ __all__ = [
     "CertifyOptions",
     "ConsistencyOptions",
     "CorrespondenceOptions",
+    "FeatureMatches",
     "FeatureTracks",
     "HeadingOptions",
     "Headings",
+    "MatchOptions",
     "Motion",
+    "MotionGuides",
     "MotionOptions",
     "OrientationOptions",
     "Orientations",
@@ -47,6 +51,7 @@ __all__ = [
     "check_consistency",
     "find_headings",
     "fit_rotations",
+    "match_features",
     "matches_that_agree",
     "mean_motion",
     "position_covariance",
