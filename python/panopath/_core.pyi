@@ -142,9 +142,7 @@ def match_features(
     descriptors: npt.NDArray[np.uint8],
     bearings: npt.NDArray[np.float64],
     pairs: npt.NDArray[np.int32],
-    guides: tuple[
-        npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
-    ]
+    guides: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
     | None,
     max_ratio: float,
     max_distance: float,

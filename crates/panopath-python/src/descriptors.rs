@@ -13,12 +13,8 @@ use crate::convert::{value_error, vectors};
 /// Where the matches of each pair begin, and two features a match.
 type Matches<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray2<i32>>);
 /// Rotation, direction, radius and band of each pair; NaN where not known.
-type Guides<'py> = (
-    PyReadonlyArray3<'py, f64>,
-    PyReadonlyArray2<'py, f64>,
-    PyReadonlyArray1<'py, f64>,
-    PyReadonlyArray1<'py, f64>,
-);
+type Guides<'py> =
+    (PyReadonlyArray3<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray1<'py, f64>, PyReadonlyArray1<'py, f64>);
 
 /// Matches features by their descriptors (`panopath.steps.match_features` describes the arguments).
 #[pyfunction]

@@ -17,11 +17,15 @@
 //! n = q x e / |q x e|,   t = (q (q.e) - e) / |q x e|,   |n.b'| <= sin(band),   t.b' >= -sin(band),   q.b' >= cos(radius).
 //! ```
 //!
-//! Only features `b'` there are compared. Those near `q` come from a grid of cubes around the sphere, which has no poles.
+//! Only features `b'` there are compared. Great circles through `e` are meridians about it, so the features of the second
+//! image are kept by their distance to `e` and their azimuth about it; where no direction is known, in a grid of cubes
+//! around the sphere, which has no poles.
+
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use rayon::prelude::*;
 
-use crate::geometry::{Rotation, Vector, dot, norm, normalized, scale, sub};
+use crate::geometry::{Rotation, Vector, dot, norm, normalized, scale, sub, tangent_basis};
 
 /// Numbers in a descriptor.
 pub const LENGTH: usize = 128;
@@ -196,7 +200,7 @@ fn check(features: &Features, pairs: &[ImagePair], options: &MatchOptions) -> Re
 fn check_guide(index: usize, guide: Option<&Guide>) -> Result<(), MatchError> {
     let Some(guide) = guide else { return Ok(()) };
     for (name, found) in [("radius_rad", guide.radius_rad), ("band_rad", guide.band_rad)] {
-        if !(found > 0.0 && found <= std::f64::consts::PI) {
+        if !(found > 0.0 && found <= PI) {
             return Err(MatchError::Guide { name, index, found, expected: "an angle above 0, at most pi" });
         }
     }
@@ -221,8 +225,7 @@ impl<'a> Side<'a> {
     fn new(features: &Features<'a>, image: usize, at_most: usize) -> Self {
         let begin = features.starts[image];
         let end = features.starts[image + 1].min(begin.saturating_add(at_most));
-        let wide: Vec<[i16; LENGTH]> =
-            features.descriptors[begin..end].iter().map(|d| d.map(i16::from)).collect();
+        let wide: Vec<[i16; LENGTH]> = features.descriptors[begin..end].iter().map(|d| d.map(i16::from)).collect();
         let squared: Vec<i32> = wide.iter().map(|d| product(d, d)).collect();
         let scale = f64::from(squared.iter().copied().max().unwrap_or(0)).sqrt();
         Self { wide, squared, bearings: &features.bearings[begin..end], scale }
@@ -349,22 +352,31 @@ struct Allowed<'a> {
     second_from_first: Rotation<3>,
     /// In the frame of the second image.
     direction: Option<Vector<3>>,
+    radius: f64,
     cos_radius: f64,
+    band: f64,
     sin_band: f64,
     bearings: &'a [Vector<3>],
-    grid: Grid,
+    index: Index,
 }
 
 impl<'a> Allowed<'a> {
     fn new(guide: &Guide, second: &Side<'a>) -> Self {
-        let chord = 2.0 * (0.5 * guide.radius_rad).sin();
+        let direction = guide.direction.map(|e| guide.second_from_first.apply(&e));
+        let band = guide.band_rad.min(FRAC_PI_2);
+        let index = match direction {
+            Some(e) => Index::Meridians(Meridians::new(second.bearings, &e)),
+            None => Index::Grid(Grid::new(second.bearings, 2.0 * (0.5 * guide.radius_rad).sin())),
+        };
         Self {
             second_from_first: guide.second_from_first,
-            direction: guide.direction.map(|e| guide.second_from_first.apply(&e)),
+            direction,
+            radius: guide.radius_rad,
             cos_radius: guide.radius_rad.cos(),
-            sin_band: guide.band_rad.min(std::f64::consts::FRAC_PI_2).sin(),
+            band,
+            sin_band: band.sin(),
             bearings: second.bearings,
-            grid: Grid::new(second.bearings, chord),
+            index,
         }
     }
 
@@ -376,18 +388,88 @@ impl<'a> Allowed<'a> {
         }
         let q = self.second_from_first.apply(bearing);
         let circle = self.direction.and_then(|e| great_circle(&q, &e, self.sin_band));
-        self.grid.near(&q, |j| {
+        let visit = |j: u32| {
             let b = &self.bearings[j as usize];
-            let on_path = circle.as_ref().is_none_or(|(normal, along)| {
-                dot(normal, b).abs() <= self.sin_band && dot(along, b) >= -self.sin_band
-            });
+            let on_path = circle
+                .as_ref()
+                .is_none_or(|(normal, along)| dot(normal, b).abs() <= self.sin_band && dot(along, b) >= -self.sin_band);
             if on_path && dot(&q, b) >= self.cos_radius {
                 found.push(j);
             }
-        });
-        // ties between descriptors go to the first, however the grid is laid
+        };
+        match &self.index {
+            Index::Grid(grid) => grid.near(&q, visit),
+            Index::Meridians(meridians) => meridians.near(&q, self.radius, self.band, circle.is_none(), visit),
+        }
+        // ties between descriptors go to the first, however the features are laid out
         found.sort_unstable();
     }
+}
+
+/// Where to look for features near a place.
+enum Index {
+    /// Around it.
+    Grid(Grid),
+    /// Along its great circle.
+    Meridians(Meridians),
+}
+
+/// Rings about the direction of motion, from the pole that it points at to the other.
+const RINGS: usize = 36;
+
+/// Bearings by the ring that they are in, and within it by their azimuth about the direction of motion: great circles
+/// through the direction are meridians, and a band about one is a short range of every ring.
+struct Meridians {
+    axes: [Vector<3>; 3],
+    /// Azimuth and feature, ascending.
+    rings: Vec<Vec<(f64, u32)>>,
+}
+
+impl Meridians {
+    fn new(bearings: &[Vector<3>], direction: &Vector<3>) -> Self {
+        let [x, y] = tangent_basis(direction);
+        let mut found = Self { axes: [x, y, *direction], rings: vec![Vec::new(); RINGS] };
+        for (j, b) in bearings.iter().enumerate().filter(|(_, b)| b.iter().all(|x| x.is_finite())) {
+            let (from_pole, azimuth) = found.polar(b);
+            found.rings[ring(from_pole)].push((azimuth, j as u32));
+        }
+        for ring in &mut found.rings {
+            ring.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        }
+        found
+    }
+
+    fn polar(&self, b: &Vector<3>) -> (f64, f64) {
+        let [x, y, z] = self.axes.map(|axis| dot(&axis, b));
+        (x.hypot(y).atan2(z), y.atan2(x))
+    }
+
+    /// Calls `visit` with all features that may be in the band about the meridian of `q`, up to `radius` from it; of all
+    /// azimuths where `q` is at a pole.
+    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32)) {
+        let (from_pole, azimuth) = self.polar(q);
+        // points move away from the pole that the motion points at, but for the band
+        let first = if at_pole { from_pole - radius } else { from_pole - band };
+        for r in ring(first)..=ring(from_pole + radius) {
+            let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
+            let (ring, sine) = (&self.rings[r], band.sin());
+            if at_pole || sine >= thinnest {
+                ring.iter().for_each(|&(_, j)| visit(j));
+                continue;
+            }
+            // half a circle away the normal is as near, but the point would have moved the other way
+            let half = (sine / thinnest).asin();
+            for turn in [-2.0 * PI, 0.0, 2.0 * PI] {
+                let (low, high) = (azimuth - half + turn, azimuth + half + turn);
+                let begin = ring.partition_point(|entry| entry.0 < low);
+                ring[begin..].iter().take_while(|entry| entry.0 <= high).for_each(|&(_, j)| visit(j));
+            }
+        }
+    }
+}
+
+fn ring(from_pole: f64) -> usize {
+    ((from_pole.max(0.0) / PI * RINGS as f64) as usize).min(RINGS - 1)
 }
 
 /// Normal of the great circle through `q` and `e`, and the tangent at `q` away from `e`; none where `q` is at one of the

@@ -276,7 +276,7 @@ def read_database(path: str | PathLike[str], *, trust_focal_lengths: bool = Fals
     )
 
 
-def database_of_features(
+def database_of_features(  # noqa: PLR0917
     names: Sequence[str],
     cameras: Sequence[Camera],
     image_camera: npt.ArrayLike,
@@ -290,6 +290,7 @@ def database_of_features(
     center_in_rig: npt.ArrayLike | None = None,
     position_wgs84: npt.ArrayLike | None = None,
     gravity: npt.ArrayLike | None = None,
+    feature_px: npt.ArrayLike = 1.0,
     source: str | PathLike[str] = "features",
 ) -> Database:
     """Make the record of a database from features and matches in memory.
@@ -314,6 +315,9 @@ def database_of_features(
         (M, 3) latitude and longitude in degrees and altitude in metres, NaN where unknown.
     gravity
         (M, 3) unit vectors towards the ground in the camera, NaN where unknown.
+    feature_px
+        (C,) or one number: pixels of the camera that a pixel spanned in which features were sought, where images were
+        shrunk for it. Features are that much less certain.
     source
         What messages name.
 
@@ -326,33 +330,48 @@ def database_of_features(
     """
     path, n = Path(source), len(names)
     camera_of = np.asarray(image_camera, dtype=np.int64).reshape(-1)
-    _expect(len(camera_of) == n == len(pixels), f"names, image_camera and pixels are {n}, {len(camera_of)} and "
-            f"{len(pixels)}, expected one of each for every image")
-    _expect(bool(((camera_of >= 0) & (camera_of < len(cameras))).all()), f"image_camera has entries outside 0 to "
-            f"{len(cameras) - 1}, expected an index of cameras")
+    _expect(
+        len(camera_of) == n == len(pixels),
+        f"names, image_camera and pixels are {n}, {len(camera_of)} and "
+        f"{len(pixels)}, expected one of each for every image",
+    )
+    _expect(
+        bool(((camera_of >= 0) & (camera_of < len(cameras))).all()),
+        f"image_camera has entries outside 0 to {len(cameras) - 1}, expected an index of cameras",
+    )
     tables = [np.asarray(rows, dtype=np.float64).reshape(-1, 2) for rows in pixels]
     counts = np.array([len(rows) for rows in tables], dtype=np.int64)
     features = _Features(counts, np.concatenate(([0], np.cumsum(counts))), np.concatenate([np.empty((0, 2)), *tables]))
     images = _Images(np.arange(1, n + 1), camera_of, tuple(names))
     ends, rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2), np.asarray(matches, dtype=np.int32).reshape(-1, 2)
     starts = np.asarray(match_starts, dtype=np.int64).reshape(-1)
-    _expect(len(starts) == len(ends) + 1 and starts[0] == 0 and starts[-1] == len(rows) and (np.diff(starts) >= 0).all(),
-            f"match_starts does not divide {len(rows)} matches among {len(ends)} pairs")
-    _expect(not len(ends) or (ends.min() >= 0 and ends.max() < n and (ends[:, 0] != ends[:, 1]).all()),
-            f"pairs has entries outside 0 to {n - 1}, or an image with itself")
+    _expect(
+        len(starts) == len(ends) + 1 and starts[0] == 0 and starts[-1] == len(rows) and (np.diff(starts) >= 0).all(),
+        f"match_starts does not divide {len(rows)} matches among {len(ends)} pairs",
+    )
+    _expect(
+        not len(ends) or (ends.min() >= 0 and ends.max() < n and (ends[:, 0] != ends[:, 1]).all()),
+        f"pairs has entries outside 0 to {n - 1}, or an image with itself",
+    )
     _expect(not len(rows) or rows.min() >= 0, "matches has negative entries, expected features")
     filled = np.flatnonzero(np.diff(starts))
-    found = _Matches("two_view_geometries", ends[filled], np.full(len(filled), 2, dtype=np.int32), np.diff(starts)[filled], rows)
+    found = _Matches(
+        "two_view_geometries", ends[filled], np.full(len(filled), 2, dtype=np.int32), np.diff(starts)[filled], rows
+    )
     _check_matches(path, images, counts, found)
     bearings, pixel_rad = _bearings_of(path, cameras, camera_of, features)
+    spans = np.broadcast_to(np.asarray(feature_px, dtype=np.float64), (len(cameras),))
+    pixel_rad = pixel_rad * np.repeat(spans[camera_of], counts)
     if len(rows):
         found = _with_bearings(bearings, features.starts, found)
     _expect(len(found.features) > 0, f"{path}: no two images match")
     frames = _given_frames(cameras, camera_of, image_frame, sensor_from_rig, center_in_rig)
     known = np.full((n, 3), np.nan) if position_wgs84 is None else np.array(position_wgs84, dtype=np.float64)
     down = np.full((n, 3), np.nan) if gravity is None else np.array(gravity, dtype=np.float64)
-    _expect(known.shape == down.shape == (n, 3), f"position_wgs84 and gravity have shapes {known.shape} and {down.shape}, "
-            f"expected {(n, 3)}")
+    _expect(
+        known.shape == down.shape == (n, 3),
+        f"position_wgs84 and gravity have shapes {known.shape} and {down.shape}, expected {(n, 3)}",
+    )
     return Database(
         path=path,
         image_names=images.names,
@@ -417,16 +436,24 @@ def _given_frames(
         ids = np.arange(1, n + 1, dtype=np.int32)
         return _FrameTable(ids - 1, ids, np.full(n, -1, dtype=np.int32), (), rotation, center)
     frame = np.asarray(image_frame, dtype=np.int32).reshape(-1)
-    _expect(sensor_from_rig is not None and center_in_rig is not None, "sensor_from_rig or center_in_rig is None, "
-            "expected the places of the cameras, since image_frame is given")
+    _expect(
+        sensor_from_rig is not None and center_in_rig is not None,
+        "sensor_from_rig or center_in_rig is None, expected the places of the cameras, since image_frame is given",
+    )
     rotation, center = np.array(sensor_from_rig, dtype=np.float64), np.array(center_in_rig, dtype=np.float64)
-    _expect(len(frame) == n and rotation.shape == (n_cameras, 3, 3) and center.shape == (n_cameras, 3),
-            f"image_frame, sensor_from_rig and center_in_rig have shapes {frame.shape}, {rotation.shape} and "
-            f"{center.shape}, expected {(n,)}, {(n_cameras, 3, 3)} and {(n_cameras, 3)}")
+    _expect(
+        len(frame) == n and rotation.shape == (n_cameras, 3, 3) and center.shape == (n_cameras, 3),
+        f"image_frame, sensor_from_rig and center_in_rig have shapes {frame.shape}, {rotation.shape} and "
+        f"{center.shape}, expected {(n,)}, {(n_cameras, 3, 3)} and {(n_cameras, 3)}",
+    )
     n_frames = int(frame.max()) + 1
-    _expect(np.array_equal(np.unique(frame), np.arange(n_frames)), "image_frame leaves out a number, expected 0, 1, ...")
-    _expect(len(np.unique(frame.astype(np.int64) * n_cameras + image_camera)) == n, "image_frame has two images of one "
-            "camera in one frame")
+    _expect(
+        np.array_equal(np.unique(frame), np.arange(n_frames)), "image_frame leaves out a number, expected 0, 1, ..."
+    )
+    _expect(
+        len(np.unique(frame.astype(np.int64) * n_cameras + image_camera)) == n,
+        "image_frame has two images of one camera in one frame",
+    )
     # the first camera's frame is the rig's, as COLMAP has it
     rotation, center = rotation @ rotation[0].T, (center - center[0]) @ rotation[0].T
     sensors = []

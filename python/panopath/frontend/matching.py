@@ -66,8 +66,13 @@ class MatchingOptions:
 
     def __post_init__(self) -> None:
         for name, least in (
-            ("neighbours", 1), ("exhaustive_images", 0), ("look_alikes", 0), ("nearest", 0),
-            ("leading_features", 8), ("min_matches", 1), ("seed", 0),
+            ("neighbours", 1),
+            ("exhaustive_images", 0),
+            ("look_alikes", 0),
+            ("nearest", 0),
+            ("leading_features", 8),
+            ("min_matches", 1),
+            ("seed", 0),
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -153,8 +158,13 @@ def match_images(
         retry, more = _leading(table, tried[again], chosen, at_most=None)
     else:
         again, (retry, more) = np.empty(0, dtype=np.int64), _leading(table, tried[:0], chosen)
-    return _all_matches(table, [(tried, found, matches, known), (tried[again], retry, more, _determined(retry))],
-                        pixel_rad, chosen, len(tried))
+    return _all_matches(
+        table,
+        [(tried, found, matches, known), (tried[again], retry, more, _determined(retry))],
+        pixel_rad,
+        chosen,
+        len(tried),
+    )
 
 
 def candidate_pairs(

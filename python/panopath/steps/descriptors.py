@@ -52,7 +52,7 @@ class FeatureMatches:
         return len(self.matches)
 
 
-def match_features(
+def match_features(  # noqa: PLR0917
     feature_starts: npt.ArrayLike,
     descriptors: npt.ArrayLike,
     bearings: npt.ArrayLike,
