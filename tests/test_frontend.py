@@ -330,6 +330,21 @@ def test_pixels_are_those_of_the_full_picture(folder: Path) -> None:
     np.testing.assert_allclose(found.database.pixel_rad, 2 * 2 * np.pi / W)
 
 
+def test_masks_of_pictures(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    masks = tmp_path_factory.mktemp("masks")
+    mask = np.full((32, 64), 255, dtype=np.uint8)
+    mask[20:] = 0
+    cv2.imwrite(str(masks / "2.png"), mask)
+    found = measure(recognise(folder), masks=masks)
+    lowest = [f.pixels[:, 1].max() / (W // 2) for f in found.features]
+    assert lowest[2] < 20 / 32 < min(lowest[:2] + lowest[3:])
+    every = measure(recognise(folder), masks=masks / "2.png")
+    assert max(f.pixels[:, 1].max() for f in every.features) < 20 / 32 * (W // 2)
+    (masks / "2.png").rename(masks / "other.png")
+    with pytest.raises(InputError, match=r"has no mask named like an image, such as 0.png"):
+        measure(recognise(folder), masks=masks)
+
+
 def test_pictures_without_features_are_named(folder: Path) -> None:
     cv2.imwrite(str(folder / "3.png"), np.zeros((W // 2, W), dtype=np.uint8))
     assert measure(recognise(folder)).empty == ("3.png",)
@@ -376,13 +391,13 @@ def test_a_video_becomes_a_scene(frames: list[Gray], tmp_path: Path) -> None:
     ],
 )
 def test_videos_without_a_path(tmp_path: Path, kind: VideoKind, message: str) -> None:
-    made = {
-        VideoKind.STILL: lambda k: room([0, 0, 0], np.eye(3), 256),
-        VideoKind.PURE_ROTATION: lambda k: room([0, 0, 0], rotation(0.0, 0.03 * k, 0.01 * k), 256),
-        VideoKind.DARK: lambda k: np.full((128, 256), 2, dtype=np.uint8),
-        VideoKind.TEXTURELESS: lambda k: np.full((128, 256), 150, dtype=np.uint8),
-    }[kind]
-    path = video(tmp_path / "a.mp4", [made(k) for k in range(8)])
+    if kind is VideoKind.DARK or kind is VideoKind.TEXTURELESS:
+        shade = 2 if kind is VideoKind.DARK else 150
+        made = [np.full((128, 256), shade, dtype=np.uint8)] * 8
+    else:
+        turn = 0.0 if kind is VideoKind.STILL else 0.03
+        made = [room([0, 0, 0], rotation(0.0, turn * k, 0.3 * turn * k), 256) for k in range(8)]
+    path = video(tmp_path / "a.mp4", made)
     assert video_motion(path, VideoOptions(motion_width=256)).kind is kind
     with pytest.raises(InputError, match=message):
         measure(recognise(path), FrontEndOptions(video=VideoOptions(motion_width=256)))

@@ -156,7 +156,10 @@ def measure(
     begin = time.perf_counter()
     say("matching", 0, 0)
     cameras, full_size, spans = _cameras(source, chosen.width)
-    full = [replace_pixels(found, full_size[c]) for found, c in zip(features, _camera_of(source, n), strict=True)]
+    camera_of = _camera_of(source, n)
+    full = [
+        _with_bearings(cameras[c], _scaled(found, full_size[c])) for found, c in zip(features, camera_of, strict=True)
+    ]
     matches = _match(source, full, cameras, spans, chosen)
     seconds["matching"] = time.perf_counter() - begin
     if not len(matches.pairs):
@@ -169,7 +172,7 @@ def measure(
     database = database_of_features(
         names,
         cameras,
-        _camera_of(source, n),
+        camera_of,
         [found.pixels for found in full],
         matches.pairs,
         matches.starts,
@@ -199,7 +202,9 @@ def _pictures(
     """Yield pictures at the working resolution, with their masks."""
     if keyframes is not None:
         own = min(width, source.cameras[0].width) // 2 * 2
-        mask = read_mask(masks) if masks is not None and masks.is_file() else None
+        if masks is not None and not masks.is_file():
+            raise InputError(f"{masks}: is no file, expected one mask for all frames of a video")
+        mask = None if masks is None else read_mask(masks)
         for k, frame in enumerate(read_frames(source.path, keyframes.tolist(), own, color=color)):
             name = f"frame_{frame.index:06d}.jpg"
             yield Picture(k, name, frame.gray, frame.color, frame.time_s), mask
@@ -248,9 +253,15 @@ def _cameras(source: Source, width: int) -> tuple[tuple[Camera, ...], list[tuple
     return source.cameras, scales, np.array([scale[0] for scale in scales])
 
 
-def replace_pixels(found: Features, scale: tuple[float, float]) -> Features:
+def _scaled(found: Features, scale: tuple[float, float]) -> Features:
     """Features with their pixels in an image of another size."""
     return found if scale == (1.0, 1.0) else replace(found, pixels=found.pixels * scale)
+
+
+def _with_bearings(camera: Camera, found: Features) -> Features:
+    """Leave out features that the camera cannot unproject, such as those beyond the circle of a fisheye."""
+    known = np.isfinite(_rays(camera, found)).all(axis=1)
+    return found if known.all() else Features(found.pixels[known], found.descriptors[known])
 
 
 def _match(
