@@ -41,6 +41,8 @@ class Row:
     case: str
     way: str
     stages: dict[str, float]
+    #: Seconds of processor time, which other work on the machine hardly changes.
+    cpu_s: float
     registered: int
     of: int
     points: int
@@ -56,6 +58,7 @@ def ours(case: str, path: Path, frames: Path | None) -> Row:
         if frames is not None:
             cv2.imwrite(str(frames / Path(picture.name).name), picture.gray, [cv2.IMWRITE_JPEG_QUALITY, 95])  # type: ignore[attr-defined]
 
+    cpu = time.process_time()
     source = recognise(path)
     print(f"  {source.description}")
     found = measure(source, FrontEndOptions(width=WIDTH), each=None if source.kind is SourceKind.RIG else keep)
@@ -64,8 +67,9 @@ def ours(case: str, path: Path, frames: Path | None) -> Row:
     stages = {**found.seconds, "mapping": time.perf_counter() - began}
     registered = int((scene.view_component == 0).sum())
     miss = np.degrees(np.sqrt(np.mean(scene.residual_rad[scene.inlier] ** 2) / 2))
-    return Row(case, "ours", stages, registered, found.database.n_frames, len(scene.points), int(scene.inlier.sum()),
-               float(miss))  # fmt: skip
+    cpu = time.process_time() - cpu
+    return Row(case, "ours", stages, cpu, registered, found.database.n_frames, len(scene.points),
+               int(scene.inlier.sum()), float(miss))  # fmt: skip
 
 
 def peer(case: str, frames: Path) -> Row:
@@ -73,7 +77,7 @@ def peer(case: str, frames: Path) -> Row:
     pycolmap.logging.minloglevel = 2
     names = sorted(path.name for path in frames.iterdir())
     height, width = read_image(frames / names[0]).shape
-    stages = {}
+    stages, cpu = {}, time.process_time()
     with tempfile.TemporaryDirectory() as place:
         database = Path(place) / "database.db"
         reader = pycolmap.ImageReaderOptions()
@@ -89,19 +93,21 @@ def peer(case: str, frames: Path) -> Row:
         match(database, device=pycolmap.Device.cpu)
         stages["matching"] = time.perf_counter() - began
         stages["mapping"] = global_mapping(database, Path(place) / "out")
+        cpu = time.process_time() - cpu
         models = [pycolmap.Reconstruction(str(p.parent)) for p in (Path(place) / "out").glob("*/images.bin")]
     if not models:
-        return Row(case, "pycolmap", stages, 0, len(names), 0, 0, float("nan"))
+        return Row(case, "pycolmap", stages, cpu, 0, len(names), 0, 0, float("nan"))
     best = max(models, key=lambda model: model.num_reg_images())
     error_px = best.compute_mean_reprojection_error()
-    return Row(case, "pycolmap", stages, best.num_reg_images(), len(names), len(best.points3D),
+    return Row(case, "pycolmap", stages, cpu, best.num_reg_images(), len(names), len(best.points3D),
                best.compute_num_observations(), float(error_px * 360.0 / width))  # fmt: skip
 
 
 def show(row: Row) -> None:
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in row.stages.items())
     print(
-        f"  {row.way:9} {sum(row.stages.values()):7.1f} s ({stages}); {row.registered}/{row.of} frames, "
+        f"  {row.way:9} {sum(row.stages.values()):7.1f} s, {row.cpu_s:7.1f} cpu s ({stages}); "
+        f"{row.registered}/{row.of} frames, "
         f"{row.points} points, {row.observations} observations, miss {row.miss_deg:.4f} deg",
         flush=True,
     )
