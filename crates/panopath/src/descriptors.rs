@@ -14,8 +14,10 @@
 //! first camera moves, seen from the second, along the great circle from `q` away from the motion `e`,
 //!
 //! ```text
-//! n = q x e / |q x e|,   t = (q (q.e) - e) / |q x e|,   |n.b'| <= sin(band),   t.b' >= -sin(band),   q.b' >= cos(radius).
+//! n = q x e / |q x e|,   t = (q (q.e) - e) / |q x e|,   |n.b'| <= sin(band),   t.b' >= -sin(band),   q.b' >= cos(radius),
 //! ```
+//!
+//! and never gets beyond `-e`: with `o` along `q - (q.e) e`, `o.b' >= -sin(band)`.
 //!
 //! Only features `b'` there are compared. Great circles through `e` are meridians about it, so the features of the second
 //! image are kept by their distance to `e` and their azimuth about it; where no direction is known, in a grid of cubes
@@ -390,9 +392,11 @@ impl<'a> Allowed<'a> {
         let circle = self.direction.and_then(|e| great_circle(&q, &e, self.sin_band));
         let visit = |j: u32| {
             let b = &self.bearings[j as usize];
-            let on_path = circle
-                .as_ref()
-                .is_none_or(|(normal, along)| dot(normal, b).abs() <= self.sin_band && dot(along, b) >= -self.sin_band);
+            let on_path = circle.as_ref().is_none_or(|[normal, along, outward]| {
+                dot(normal, b).abs() <= self.sin_band
+                    && dot(along, b) >= -self.sin_band
+                    && dot(outward, b) >= -self.sin_band
+            });
             if on_path && dot(&q, b) >= self.cos_radius {
                 found.push(j);
             }
@@ -448,16 +452,17 @@ impl Meridians {
     /// azimuths where `q` is at a pole.
     fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32)) {
         let (from_pole, azimuth) = self.polar(q);
-        // points move away from the pole that the motion points at, but for the band
-        let first = if at_pole { from_pole - radius } else { from_pole - band };
+        // points move away from the pole that the motion points at, but for the band: by its width in the plane, and by
+        // at most three times that where it bends round the pole
+        let first = from_pole - if at_pole { radius } else { radius.min(4.0 * band) };
         for r in ring(first)..=ring(from_pole + radius) {
             let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
             let (ring, sine) = (&self.rings[r], band.sin());
-            if at_pole || sine >= thinnest {
+            // nearer to a pole the band is about all meridians
+            if at_pole || 1.5 * sine >= thinnest {
                 ring.iter().for_each(|&(_, j)| visit(j));
                 continue;
             }
-            // half a circle away the normal is as near, but the point would have moved the other way
             let half = (sine / thinnest).asin();
             for turn in [-2.0 * PI, 0.0, 2.0 * PI] {
                 let (low, high) = (azimuth - half + turn, azimuth + half + turn);
@@ -472,12 +477,13 @@ fn ring(from_pole: f64) -> usize {
     ((from_pole.max(0.0) / PI * RINGS as f64) as usize).min(RINGS - 1)
 }
 
-/// Normal of the great circle through `q` and `e`, and the tangent at `q` away from `e`; none where `q` is at one of the
-/// poles of the motion, which all great circles pass.
-fn great_circle(q: &Vector<3>, e: &Vector<3>, sin_band: f64) -> Option<(Vector<3>, Vector<3>)> {
+/// Normal of the great circle through `q` and `e`, its tangent at `q` away from `e`, and the direction in its plane that
+/// is square to `e`, on the side of `q`; none where `q` is at a pole of the motion, which all great circles pass.
+fn great_circle(q: &Vector<3>, e: &Vector<3>, sin_band: f64) -> Option<[Vector<3>; 3]> {
     let normal = [q[1] * e[2] - q[2] * e[1], q[2] * e[0] - q[0] * e[2], q[0] * e[1] - q[1] * e[0]];
-    let away = sub(&scale(dot(q, e), q), e);
-    (norm(&normal) > sin_band).then(|| (normalized(&normal), normalized(&away)))
+    let along = dot(q, e);
+    let vectors = [normal, sub(&scale(along, q), e), sub(q, &scale(along, e))];
+    (norm(&normal) > sin_band).then(|| vectors.map(|v| normalized(&v)))
 }
 
 /// Bearings sorted by the cube of space that they are in.

@@ -83,6 +83,7 @@ fn guides_allow_what_they_say() {
             let q = scene.turn.apply(&scene.bearings[i]);
             let normal = [q[1] * e[2] - q[2] * e[1], q[2] * e[0] - q[0] * e[2], q[0] * e[1] - q[1] * e[0]];
             let away = sub(&q.map(|x| x * dot(&q, &e)), &e);
+            let outward = sub(&q, &e.map(|x| x * dot(&q, &e)));
             let allowed: Vec<usize> = (0..n)
                 .filter(|&j| {
                     let b = scene.bearings[n + j];
@@ -90,7 +91,8 @@ fn guides_allow_what_they_say() {
                     let on_path = !direction
                         || at_pole
                         || (dot(&normalized(&normal), &b).abs() <= band.sin()
-                            && dot(&normalized(&away), &b) >= -band.sin());
+                            && dot(&normalized(&away), &b) >= -band.sin()
+                            && dot(&normalized(&outward), &b) >= -band.sin());
                     on_path && dot(&q, &b) >= radius.cos()
                 })
                 .collect();
@@ -158,10 +160,7 @@ fn errors_name_the_entry() {
     let same = ImagePair { first: 1, second: 1, guide: None };
     assert_eq!(try_with(&scene.features(), same, &plain), "pairs[0] is [1, 1], expected two different images of 2");
     let wide = ImagePair { guide: Some(scene.guide(true, 4.0, 0.1)), ..good };
-    assert_eq!(
-        try_with(&scene.features(), wide, &plain),
-        "radius_rad[0] is 4, expected an angle above 0, at most pi"
-    );
+    assert_eq!(try_with(&scene.features(), wide, &plain), "radius_rad[0] is 4, expected an angle above 0, at most pi");
     let short = Features { descriptors: &scene.descriptors[1..], ..scene.features() };
     assert_eq!(try_with(&short, good, &plain), "descriptors has 19 entries, expected 20");
     let unordered = Features { starts: &[0, 20, 10], ..scene.features() };
