@@ -37,6 +37,8 @@ Index = npt.NDArray[np.int64]
 
 #: Words of the vectors that say which images look alike, features of an image that they are made of, and rounds.
 _WORDS, _TOLD_BY, _ROUNDS = 32, 500, 8
+#: Widest band about a great circle, pixels.
+_WIDEST_PX = 8.0
 #: Matches of the features that stand out most that a pose may rest on.
 _FEWEST = 12
 #: The parallax allowed is so many times that of nearly all matches that are known, and between these, radians.
@@ -59,8 +61,9 @@ class MatchingOptions:
     leading_features: int = 900
     #: Pairs with fewer matches are left out.
     min_matches: int = 15
-    #: Largest angle of a match to the great circle of its motion, pixels.
-    band_px: float = 4.0
+    #: Angle of a match to the great circle of its motion that is always allowed, pixels; more where the pair shows more
+    #: noise. Wide bands let in look-alikes beside the path, of which a tiled pavement has many that agree.
+    band_px: float = 1.0
     #: Of everything random.
     seed: int = 0
 
@@ -306,7 +309,7 @@ def _all_matches(
     direction = np.concatenate([found.direction[known] for _, found, _, known in rounds])
     reach = np.concatenate([_reach(table, tried, found, by)[known] for tried, found, by, known in rounds])
     sigma = np.concatenate([found.sigma_rad[known] for _, found, _, known in rounds])
-    band = np.clip(4.0 * np.nan_to_num(sigma), options.band_px * pixel_rad, 4.0 * options.band_px * pixel_rad)
+    band = np.clip(4.0 * np.nan_to_num(sigma), options.band_px * pixel_rad, _WIDEST_PX * pixel_rad)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     pairs = pairs[order]
     guides = MotionGuides(turn[order], direction[order], reach[order], band[order])
