@@ -207,7 +207,7 @@ fn check_guide(index: usize, guide: Option<&Guide>) -> Result<(), MatchError> {
         }
     }
     let length = guide.direction.map_or(1.0, |e| norm(&e));
-    if !((length - 1.0).abs() < 1e-6) {
+    if length.is_nan() || (length - 1.0).abs() > 1e-6 {
         return Err(MatchError::Guide { name: "direction", index, found: length, expected: "a unit vector" });
     }
     Ok(())
