@@ -25,6 +25,7 @@ __all__ = [
     "equirectangular_from_bearings",
     "fit_rotations",
     "full_visibility",
+    "match_features",
     "matches_that_agree",
     "mean_motion",
     "natural_order",
@@ -143,6 +144,17 @@ def tracks_from_matches(
     min_images: int,
     min_linkage: float,
 ) -> dict[str, Any]: ...
+def match_features(
+    feature_starts: npt.NDArray[np.int64],
+    descriptors: npt.NDArray[np.uint8],
+    bearings: npt.NDArray[np.float64],
+    pairs: npt.NDArray[np.int32],
+    guides: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
+    | None,
+    max_ratio: float,
+    max_distance: float,
+    max_features: int | None,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]: ...
 def mean_motion(
     observations: _Observations,
     options: Mapping[str, Any],

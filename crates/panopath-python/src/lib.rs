@@ -5,6 +5,7 @@ mod conditions;
 mod consistency;
 mod convert;
 mod correspondence;
+mod descriptors;
 mod headings;
 mod motion;
 mod orientation;
@@ -25,6 +26,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     conditions::register(module)?;
     consistency::register(module)?;
     correspondence::register(module)?;
+    descriptors::register(module)?;
     headings::register(module)?;
     motion::register(module)?;
     positions::register(module)?;

@@ -18,6 +18,7 @@
 mod bundle;
 pub mod consistency;
 pub mod correspondence;
+pub mod descriptors;
 pub mod geometry;
 pub mod headings;
 pub mod least_squares;

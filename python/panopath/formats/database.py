@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.formats.colmap_model import Camera, Rig, Sensor, pycolmap_camera
-from panopath.formats.csv import rotation_from_quaternion
+from panopath import _core
+from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera, Rig, Sensor, pycolmap_camera
+from panopath.formats.csv import quaternion_from_rotation, rotation_from_quaternion
 from panopath.model import Bool, Float, InputError, Int, read_only
 
 Index = npt.NDArray[np.int64]
@@ -273,6 +274,195 @@ def read_database(path: str | PathLike[str], *, trust_focal_lengths: bool = Fals
         position_system=priors.system,
         gravity=priors.gravity,
     )
+
+
+def database_of_features(  # noqa: PLR0917
+    names: Sequence[str],
+    cameras: Sequence[Camera],
+    image_camera: npt.ArrayLike,
+    pixels: Sequence[npt.ArrayLike],
+    pairs: npt.ArrayLike,
+    match_starts: npt.ArrayLike,
+    matches: npt.ArrayLike,
+    *,
+    image_frame: npt.ArrayLike | None = None,
+    sensor_from_rig: npt.ArrayLike | None = None,
+    center_in_rig: npt.ArrayLike | None = None,
+    position_wgs84: npt.ArrayLike | None = None,
+    gravity: npt.ArrayLike | None = None,
+    feature_px: npt.ArrayLike = 1.0,
+    source: str | PathLike[str] = "features",
+) -> Database:
+    """Make the record of a database from features and matches in memory.
+
+    Parameters
+    ----------
+    names
+        M names of images; their ids are 1 to M.
+    cameras
+        C cameras.
+    image_camera
+        (M,) index of the camera of each image.
+    pixels
+        M arrays (n, 2) of features, centres of pixels at 0.5.
+    pairs, match_starts, matches
+        (P, 2) images, (P + 1,) and (N, 2) features counted within their images, as in :class:`Database`.
+    image_frame
+        (M,) which images a rig took at one time, numbered from 0; default: every image by itself.
+    sensor_from_rig, center_in_rig
+        (C, 3, 3) and (C, 3) places of the cameras in the rig; needed with ``image_frame``.
+    position_wgs84
+        (M, 3) latitude and longitude in degrees and altitude in metres, NaN where unknown.
+    gravity
+        (M, 3) unit vectors towards the ground in the camera, NaN where unknown.
+    feature_px
+        (C,) or one number: pixels of the camera that a pixel spanned in which features were sought, where images were
+        shrunk for it. Features are that much less certain.
+    source
+        What messages name.
+
+    Raises
+    ------
+    InputError
+        Naming the argument that does not fit the others, or where no match is left.
+    MissingExtraError
+        For cameras that are not equirectangular, where pycolmap is not installed.
+    """
+    path, n = Path(source), len(names)
+    camera_of = np.asarray(image_camera, dtype=np.int64).reshape(-1)
+    _expect(
+        len(camera_of) == n == len(pixels),
+        f"names, image_camera and pixels are {n}, {len(camera_of)} and "
+        f"{len(pixels)}, expected one of each for every image",
+    )
+    _expect(
+        bool(((camera_of >= 0) & (camera_of < len(cameras))).all()),
+        f"image_camera has entries outside 0 to {len(cameras) - 1}, expected an index of cameras",
+    )
+    tables = [np.asarray(rows, dtype=np.float64).reshape(-1, 2) for rows in pixels]
+    counts = np.array([len(rows) for rows in tables], dtype=np.int64)
+    features = _Features(counts, np.concatenate(([0], np.cumsum(counts))), np.concatenate([np.empty((0, 2)), *tables]))
+    images = _Images(np.arange(1, n + 1), camera_of, tuple(names))
+    ends, rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2), np.asarray(matches, dtype=np.int32).reshape(-1, 2)
+    starts = np.asarray(match_starts, dtype=np.int64).reshape(-1)
+    _expect(
+        len(starts) == len(ends) + 1 and starts[0] == 0 and starts[-1] == len(rows) and (np.diff(starts) >= 0).all(),
+        f"match_starts does not divide {len(rows)} matches among {len(ends)} pairs",
+    )
+    _expect(
+        not len(ends) or (ends.min() >= 0 and ends.max() < n and (ends[:, 0] != ends[:, 1]).all()),
+        f"pairs has entries outside 0 to {n - 1}, or an image with itself",
+    )
+    _expect(not len(rows) or rows.min() >= 0, "matches has negative entries, expected features")
+    filled = np.flatnonzero(np.diff(starts))
+    found = _Matches(
+        "two_view_geometries", ends[filled], np.full(len(filled), 2, dtype=np.int32), np.diff(starts)[filled], rows
+    )
+    _check_matches(path, images, counts, found)
+    bearings, pixel_rad = _bearings_of(path, cameras, camera_of, features)
+    spans = np.broadcast_to(np.asarray(feature_px, dtype=np.float64), (len(cameras),))
+    pixel_rad = pixel_rad * np.repeat(spans[camera_of], counts)
+    if len(rows):
+        found = _with_bearings(bearings, features.starts, found)
+    _expect(len(found.features) > 0, f"{path}: no two images match")
+    frames = _given_frames(cameras, camera_of, image_frame, sensor_from_rig, center_in_rig)
+    known = np.full((n, 3), np.nan) if position_wgs84 is None else np.array(position_wgs84, dtype=np.float64)
+    down = np.full((n, 3), np.nan) if gravity is None else np.array(gravity, dtype=np.float64)
+    _expect(
+        known.shape == down.shape == (n, 3),
+        f"position_wgs84 and gravity have shapes {known.shape} and {down.shape}, expected {(n, 3)}",
+    )
+    return Database(
+        path=path,
+        image_names=images.names,
+        image_id=images.ids.astype(np.int32),
+        image_camera=camera_of.astype(np.int32),
+        image_frame=frames.of_image,
+        cameras=tuple(cameras),
+        sensor_from_rig=frames.sensor_from_rig,
+        center_in_rig=frames.center_in_rig,
+        frame_id=frames.ids,
+        frame_rig_id=frames.rig_id,
+        rigs=frames.rigs,
+        feature_starts=features.starts,
+        pixels=features.pixels,
+        bearings=bearings,
+        pixel_rad=pixel_rad,
+        pairs=found.pairs.astype(np.int32),
+        pair_config=found.config,
+        match_starts=np.concatenate(([0], np.cumsum(found.counts))),
+        matches=found.features,
+        is_verified=True,
+        position=known,
+        position_covariance=np.full((n, 3, 3), np.nan),
+        position_system=np.where(np.isfinite(known).all(axis=1), _WGS84, -1).astype(np.int32),
+        gravity=down,
+    )
+
+
+def _expect(holds: bool | np.bool_, otherwise: str) -> None:
+    if not holds:
+        raise InputError(otherwise)
+
+
+def _bearings_of(
+    source: Path, cameras: Sequence[Camera], image_camera: Index, features: _Features
+) -> tuple[Float, Float]:
+    """Bearings of all features; panoramas need no pycolmap."""
+    if any(camera.model not in (EQUIRECTANGULAR_ID, "EQUIRECTANGULAR") for camera in cameras):
+        models = _models(source, cameras, [True] * len(cameras), image_camera, True)
+        return _unproject(models, image_camera, features)
+    bearings, pixel_rad = np.full((len(features.pixels), 3), np.nan), np.full(len(features.pixels), np.nan)
+    camera_of = np.repeat(image_camera, features.counts)
+    for c, camera in enumerate(cameras):
+        rows = np.flatnonzero((camera_of == c) & np.isfinite(features.pixels).all(axis=1))
+        bearings[rows] = _core.bearings_from_equirectangular(
+            features.pixels[rows], float(camera.width), float(camera.height)
+        )
+        pixel_rad[rows] = 2.0 * np.pi / camera.width
+    return bearings, pixel_rad
+
+
+def _given_frames(
+    cameras: Sequence[Camera],
+    image_camera: Index,
+    image_frame: npt.ArrayLike | None,
+    sensor_from_rig: npt.ArrayLike | None,
+    center_in_rig: npt.ArrayLike | None,
+) -> _FrameTable:
+    n, n_cameras = len(image_camera), len(cameras)
+    rotation, center = np.tile(np.eye(3), (n_cameras, 1, 1)), np.zeros((n_cameras, 3))
+    if image_frame is None:
+        ids = np.arange(1, n + 1, dtype=np.int32)
+        return _FrameTable(ids - 1, ids, np.full(n, -1, dtype=np.int32), (), rotation, center)
+    frame = np.asarray(image_frame, dtype=np.int32).reshape(-1)
+    _expect(
+        sensor_from_rig is not None and center_in_rig is not None,
+        "sensor_from_rig or center_in_rig is None, expected the places of the cameras, since image_frame is given",
+    )
+    rotation, center = np.array(sensor_from_rig, dtype=np.float64), np.array(center_in_rig, dtype=np.float64)
+    _expect(
+        len(frame) == n and rotation.shape == (n_cameras, 3, 3) and center.shape == (n_cameras, 3),
+        f"image_frame, sensor_from_rig and center_in_rig have shapes {frame.shape}, {rotation.shape} and "
+        f"{center.shape}, expected {(n,)}, {(n_cameras, 3, 3)} and {(n_cameras, 3)}",
+    )
+    n_frames = int(frame.max()) + 1
+    _expect(
+        np.array_equal(np.unique(frame), np.arange(n_frames)), "image_frame leaves out a number, expected 0, 1, ..."
+    )
+    _expect(
+        len(np.unique(frame.astype(np.int64) * n_cameras + image_camera)) == n,
+        "image_frame has two images of one camera in one frame",
+    )
+    # the first camera's frame is the rig's, as COLMAP has it
+    rotation, center = rotation @ rotation[0].T, (center - center[0]) @ rotation[0].T
+    sensors = []
+    for c in range(1, n_cameras):
+        pose = (*quaternion_from_rotation(rotation[c : c + 1])[0], *(-rotation[c] @ center[c]))
+        sensors.append(Sensor(_CAMERA, cameras[c].camera_id, tuple(float(x) for x in pose)))
+    rig = Rig(1, (_CAMERA, cameras[0].camera_id), tuple(sensors))
+    ids = np.arange(1, n_frames + 1, dtype=np.int32)
+    return _FrameTable(frame, ids, np.ones(n_frames, dtype=np.int32), (rig,), rotation, center)
 
 
 def _east_north_up(lat_lon_alt: Float) -> Float:

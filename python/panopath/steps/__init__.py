@@ -4,6 +4,7 @@ from panopath.steps.certificate import CertifyOptions, certify
 from panopath.steps.conditions import FullVisibility, full_visibility
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
+from panopath.steps.descriptors import FeatureMatches, MatchOptions, MotionGuides, match_features
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
@@ -28,11 +29,14 @@ __all__ = [
     "CertifyOptions",
     "ConsistencyOptions",
     "CorrespondenceOptions",
+    "FeatureMatches",
     "FeatureTracks",
     "FullVisibility",
     "HeadingOptions",
     "Headings",
+    "MatchOptions",
     "Motion",
+    "MotionGuides",
     "MotionOptions",
     "OrientationOptions",
     "Orientations",
@@ -50,6 +54,7 @@ __all__ = [
     "find_headings",
     "fit_rotations",
     "full_visibility",
+    "match_features",
     "matches_that_agree",
     "mean_motion",
     "position_covariance",

@@ -1,0 +1,540 @@
+//! Matches between the features of two images: nearest descriptors, where geometry allows them.
+//!
+//! Descriptors are 128 bytes of about equal length; between two of them stands the squared distance
+//!
+//! ```text
+//! |a - b|^2 = |a|^2 + |b|^2 - 2 a.b,
+//! ```
+//!
+//! in whole numbers, so that every machine finds the same matches. A match is mutual (each is the other's nearest), near
+//! (`max_distance`) and distinct (nearer than `max_ratio` times the second nearest, on both sides: Lowe, IJCV 2004,
+//! section 7.1).
+//!
+//! What is known of the motion saves most of the work. A point seen along `q = second_from_first b` from the place of the
+//! first camera moves, seen from the second, along the great circle from `q` away from the motion `e`,
+//!
+//! ```text
+//! n = q x e / |q x e|,   t = (q (q.e) - e) / |q x e|,   |n.b'| <= sin(band),   t.b' >= -sin(band),   q.b' >= cos(radius),
+//! ```
+//!
+//! and never gets beyond `-e`: with `o` along `q - (q.e) e`, `o.b' >= -sin(band)`.
+//!
+//! Only features `b'` there are compared. Great circles through `e` are meridians about it, so the features of the second
+//! image are kept by their distance to `e` and their azimuth about it; where no direction is known, in a grid of cubes
+//! around the sphere, which has no poles.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use rayon::prelude::*;
+
+use crate::geometry::{Rotation, Vector, dot, norm, normalized, scale, sub, tangent_basis};
+
+/// Numbers in a descriptor.
+pub const LENGTH: usize = 128;
+
+/// Cubes of the grid along each axis, at most.
+const MAX_CELLS: usize = 40;
+
+/// Features of all images, image by image.
+#[derive(Debug, Clone, Copy)]
+pub struct Features<'a> {
+    /// Where the features of each image begin, and where the last ones end.
+    pub starts: &'a [usize],
+    /// One descriptor a feature.
+    pub descriptors: &'a [[u8; LENGTH]],
+    /// Bearings, unit vectors; a feature without one is not finite, and is never found where a motion is known.
+    pub bearings: &'a [Vector<3>],
+}
+
+/// What is known of the motion between two images.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guide {
+    /// Takes bearings of the first image to the second.
+    pub second_from_first: Rotation<3>,
+    /// Unit vector from the first centre to the second, in the frame of the first image.
+    pub direction: Option<Vector<3>>,
+    /// Largest parallax, radians.
+    pub radius_rad: f64,
+    /// Largest angle to the great circle of the motion, radians.
+    pub band_rad: f64,
+}
+
+/// Two images to match.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImagePair {
+    /// Index of the first image.
+    pub first: usize,
+    /// Index of the second image.
+    pub second: usize,
+    /// What is known of the motion; without it every feature is compared with every other.
+    pub guide: Option<Guide>,
+}
+
+/// What a caller may choose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MatchOptions {
+    /// The nearest descriptor is nearer than this share of the distance to the second nearest; above 0, at most 1.
+    pub max_ratio: f64,
+    /// Largest distance, in units of the descriptors' length; above 0.
+    pub max_distance: f64,
+    /// Only the first so many features of an image take part.
+    pub max_features: usize,
+}
+
+impl Default for MatchOptions {
+    fn default() -> Self {
+        Self { max_ratio: 0.8, max_distance: 0.7, max_features: usize::MAX }
+    }
+}
+
+/// Why features cannot be matched.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MatchError {
+    /// Arrays that do not belong together.
+    #[error("{name} has {found} entries, expected {expected}")]
+    Length {
+        /// Which array.
+        name: &'static str,
+        /// What it has.
+        found: usize,
+        /// What the others ask for.
+        expected: usize,
+    },
+    /// Starts that do not ascend from 0.
+    #[error("feature_starts[{0}] is below the entry before it, expected numbers that ascend from 0")]
+    Starts(usize),
+    /// A pair of an image that there is not, or of one image.
+    #[error("pairs[{index}] is [{first}, {second}], expected two different images of {n_images}")]
+    Pair {
+        /// Row.
+        index: usize,
+        /// Its first image.
+        first: usize,
+        /// Its second image.
+        second: usize,
+        /// How many images there are.
+        n_images: usize,
+    },
+    /// A guide that is not of this world.
+    #[error("{name}[{index}] is {found}, expected {expected}")]
+    Guide {
+        /// Which argument.
+        name: &'static str,
+        /// Row of the pair.
+        index: usize,
+        /// The value given.
+        found: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// An option out of its range.
+    #[error("{name} is {found}, expected {expected}")]
+    Option {
+        /// Which option.
+        name: &'static str,
+        /// The value given.
+        found: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+}
+
+/// Matches the features of pairs of images; see the module's text for the rules.
+///
+/// For each pair, the features of the first image and of the second that match, counted within their images, in the order
+/// of the first. The answer does not depend on the number of threads.
+///
+/// # Errors
+/// [`MatchError`] naming the first entry that cannot be used.
+pub fn match_features(
+    features: &Features,
+    pairs: &[ImagePair],
+    options: &MatchOptions,
+) -> Result<Vec<Vec<[u32; 2]>>, MatchError> {
+    check(features, pairs, options)?;
+    let arch = pulp::Arch::new();
+    Ok(pairs
+        .par_iter()
+        .map(|pair| {
+            let first = Side::new(features, pair.first, options.max_features);
+            let second = Side::new(features, pair.second, options.max_features);
+            let nearest = match &pair.guide {
+                None => arch.dispatch(Exhaustive { first: &first, second: &second }),
+                Some(guide) => {
+                    let allowed = Allowed::new(guide, &second);
+                    arch.dispatch(Guided { first: &first, second: &second, allowed: &allowed })
+                }
+            };
+            nearest.matches(options, first.scale.max(second.scale))
+        })
+        .collect())
+}
+
+fn check(features: &Features, pairs: &[ImagePair], options: &MatchOptions) -> Result<(), MatchError> {
+    let starts = features.starts;
+    if let Some(k) = (0..starts.len()).find(|&k| if k == 0 { starts[0] != 0 } else { starts[k] < starts[k - 1] }) {
+        return Err(MatchError::Starts(k));
+    }
+    let n = starts.last().copied().unwrap_or(0);
+    for (name, found) in [("descriptors", features.descriptors.len()), ("bearings", features.bearings.len())] {
+        if found != n {
+            return Err(MatchError::Length { name, found, expected: n });
+        }
+    }
+    let n_images = starts.len().saturating_sub(1);
+    for (index, pair) in pairs.iter().enumerate() {
+        let &ImagePair { first, second, .. } = pair;
+        if first >= n_images || second >= n_images || first == second {
+            return Err(MatchError::Pair { index, first, second, n_images });
+        }
+        check_guide(index, pair.guide.as_ref())?;
+    }
+    for (name, found) in [("max_ratio", options.max_ratio), ("max_distance", options.max_distance)] {
+        let most = if name == "max_ratio" { 1.0 } else { f64::INFINITY };
+        if !(found > 0.0 && found <= most) {
+            let expected = if name == "max_ratio" { "a number above 0, at most 1" } else { "a number above 0" };
+            return Err(MatchError::Option { name, found, expected });
+        }
+    }
+    Ok(())
+}
+
+fn check_guide(index: usize, guide: Option<&Guide>) -> Result<(), MatchError> {
+    let Some(guide) = guide else { return Ok(()) };
+    for (name, found) in [("radius_rad", guide.radius_rad), ("band_rad", guide.band_rad)] {
+        if !(found > 0.0 && found <= PI) {
+            return Err(MatchError::Guide { name, index, found, expected: "an angle above 0, at most pi" });
+        }
+    }
+    let length = guide.direction.map_or(1.0, |e| norm(&e));
+    if length.is_nan() || (length - 1.0).abs() > 1e-6 {
+        return Err(MatchError::Guide { name: "direction", index, found: length, expected: "a unit vector" });
+    }
+    Ok(())
+}
+
+/// Features of one image, ready to be compared.
+struct Side<'a> {
+    /// Two bytes a number: the product of two such, added in pairs, is one instruction.
+    wide: Vec<[i16; LENGTH]>,
+    squared: Vec<i32>,
+    bearings: &'a [Vector<3>],
+    /// Longest descriptor.
+    scale: f64,
+}
+
+impl<'a> Side<'a> {
+    fn new(features: &Features<'a>, image: usize, at_most: usize) -> Self {
+        let begin = features.starts[image];
+        let end = features.starts[image + 1].min(begin.saturating_add(at_most));
+        let wide: Vec<[i16; LENGTH]> = features.descriptors[begin..end].iter().map(|d| d.map(i16::from)).collect();
+        let squared: Vec<i32> = wide.iter().map(|d| product(d, d)).collect();
+        let scale = f64::from(squared.iter().copied().max().unwrap_or(0)).sqrt();
+        Self { wide, squared, bearings: &features.bearings[begin..end], scale }
+    }
+
+    fn len(&self) -> usize {
+        self.wide.len()
+    }
+}
+
+#[inline(always)]
+fn product(a: &[i16; LENGTH], b: &[i16; LENGTH]) -> i32 {
+    a.iter().zip(b).map(|(&x, &y)| i32::from(x) * i32::from(y)).sum()
+}
+
+const NONE: u32 = u32::MAX;
+
+/// Nearest and second nearest so far.
+#[derive(Clone, Copy)]
+struct Best {
+    squared: i32,
+    second: i32,
+    index: u32,
+}
+
+impl Best {
+    const NOTHING: Self = Self { squared: i32::MAX, second: i32::MAX, index: NONE };
+
+    #[inline(always)]
+    fn see(&mut self, squared: i32, index: u32) {
+        if squared < self.squared {
+            *self = Self { squared, second: self.squared, index };
+        } else if squared < self.second {
+            self.second = squared;
+        }
+    }
+}
+
+/// Nearest of the second image to each feature of the first, and the other way round.
+struct Nearest {
+    of_first: Vec<Best>,
+    of_second: Vec<Best>,
+}
+
+impl Nearest {
+    fn new(first: &Side, second: &Side) -> Self {
+        Self { of_first: vec![Best::NOTHING; first.len()], of_second: vec![Best::NOTHING; second.len()] }
+    }
+
+    fn matches(&self, options: &MatchOptions, scale: f64) -> Vec<[u32; 2]> {
+        let (ratio, limit) = (options.max_ratio.powi(2), (options.max_distance * scale).powi(2));
+        let distinct = |best: &Best| {
+            let squared = f64::from(best.squared);
+            squared <= limit && (best.second == i32::MAX || squared < ratio * f64::from(best.second))
+        };
+        let one = |(i, best): (usize, &Best)| {
+            let back = self.of_second.get(best.index as usize)?;
+            (back.index as usize == i && distinct(best) && distinct(back)).then_some([i as u32, best.index])
+        };
+        self.of_first.iter().enumerate().filter_map(one).collect()
+    }
+}
+
+/// Every feature against every other.
+struct Exhaustive<'a> {
+    first: &'a Side<'a>,
+    second: &'a Side<'a>,
+}
+
+/// Rows of the first image that meet a descriptor of the second while it is at hand.
+const BLOCK: usize = 16;
+
+impl pulp::WithSimd for Exhaustive<'_> {
+    type Output = Nearest;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Nearest {
+        let (first, second) = (self.first, self.second);
+        let mut nearest = Nearest::new(first, second);
+        for begin in (0..first.len()).step_by(BLOCK) {
+            let end = (begin + BLOCK).min(first.len());
+            for (j, b) in second.wide.iter().enumerate() {
+                for i in begin..end {
+                    let squared = first.squared[i] + second.squared[j] - 2 * product(&first.wide[i], b);
+                    nearest.of_first[i].see(squared, j as u32);
+                    nearest.of_second[j].see(squared, i as u32);
+                }
+            }
+        }
+        nearest
+    }
+}
+
+/// Only what the motion allows.
+struct Guided<'a> {
+    first: &'a Side<'a>,
+    second: &'a Side<'a>,
+    allowed: &'a Allowed<'a>,
+}
+
+impl pulp::WithSimd for Guided<'_> {
+    type Output = Nearest;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Nearest {
+        let (first, second) = (self.first, self.second);
+        let mut nearest = Nearest::new(first, second);
+        let mut candidates = Vec::new();
+        for (i, bearing) in first.bearings.iter().enumerate() {
+            self.allowed.list(bearing, &mut candidates);
+            for &j in &candidates {
+                let at = j as usize;
+                let squared = first.squared[i] + second.squared[at] - 2 * product(&first.wide[i], &second.wide[at]);
+                nearest.of_first[i].see(squared, j);
+                nearest.of_second[at].see(squared, i as u32);
+            }
+        }
+        nearest
+    }
+}
+
+/// Features of the second image by where they are, and the test of the motion.
+struct Allowed<'a> {
+    second_from_first: Rotation<3>,
+    /// In the frame of the second image.
+    direction: Option<Vector<3>>,
+    radius: f64,
+    cos_radius: f64,
+    band: f64,
+    sin_band: f64,
+    bearings: &'a [Vector<3>],
+    index: Index,
+}
+
+impl<'a> Allowed<'a> {
+    fn new(guide: &Guide, second: &Side<'a>) -> Self {
+        let direction = guide.direction.map(|e| guide.second_from_first.apply(&e));
+        let band = guide.band_rad.min(FRAC_PI_2);
+        let index = match direction {
+            Some(e) => Index::Meridians(Meridians::new(second.bearings, &e)),
+            None => Index::Grid(Grid::new(second.bearings, 2.0 * (0.5 * guide.radius_rad).sin())),
+        };
+        Self {
+            second_from_first: guide.second_from_first,
+            direction,
+            radius: guide.radius_rad,
+            cos_radius: guide.radius_rad.cos(),
+            band,
+            sin_band: band.sin(),
+            bearings: second.bearings,
+            index,
+        }
+    }
+
+    /// Features of the second image where that along `bearing` may be seen, ascending.
+    fn list(&self, bearing: &Vector<3>, found: &mut Vec<u32>) {
+        found.clear();
+        if !bearing.iter().all(|x| x.is_finite()) {
+            return;
+        }
+        let q = self.second_from_first.apply(bearing);
+        let circle = self.direction.and_then(|e| great_circle(&q, &e, self.sin_band));
+        let visit = |j: u32| {
+            let b = &self.bearings[j as usize];
+            let on_path = circle.as_ref().is_none_or(|[normal, along, outward]| {
+                dot(normal, b).abs() <= self.sin_band
+                    && dot(along, b) >= -self.sin_band
+                    && dot(outward, b) >= -self.sin_band
+            });
+            if on_path && dot(&q, b) >= self.cos_radius {
+                found.push(j);
+            }
+        };
+        match &self.index {
+            Index::Grid(grid) => grid.near(&q, visit),
+            Index::Meridians(meridians) => meridians.near(&q, self.radius, self.band, circle.is_none(), visit),
+        }
+        // ties between descriptors go to the first, however the features are laid out
+        found.sort_unstable();
+    }
+}
+
+/// Where to look for features near a place.
+enum Index {
+    /// Around it.
+    Grid(Grid),
+    /// Along its great circle.
+    Meridians(Meridians),
+}
+
+/// Rings about the direction of motion, from the pole that it points at to the other.
+const RINGS: usize = 36;
+
+/// Bearings by the ring that they are in, and within it by their azimuth about the direction of motion: great circles
+/// through the direction are meridians, and a band about one is a short range of every ring.
+struct Meridians {
+    axes: [Vector<3>; 3],
+    /// Azimuth and feature, ascending.
+    rings: Vec<Vec<(f64, u32)>>,
+}
+
+impl Meridians {
+    fn new(bearings: &[Vector<3>], direction: &Vector<3>) -> Self {
+        let [x, y] = tangent_basis(direction);
+        let mut found = Self { axes: [x, y, *direction], rings: vec![Vec::new(); RINGS] };
+        for (j, b) in bearings.iter().enumerate().filter(|(_, b)| b.iter().all(|x| x.is_finite())) {
+            let (from_pole, azimuth) = found.polar(b);
+            found.rings[ring(from_pole)].push((azimuth, j as u32));
+        }
+        for ring in &mut found.rings {
+            ring.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        }
+        found
+    }
+
+    fn polar(&self, b: &Vector<3>) -> (f64, f64) {
+        let [x, y, z] = self.axes.map(|axis| dot(&axis, b));
+        (x.hypot(y).atan2(z), y.atan2(x))
+    }
+
+    /// Calls `visit` with all features that may be in the band about the meridian of `q`, up to `radius` from it; of all
+    /// azimuths where `q` is at a pole.
+    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32)) {
+        let (from_pole, azimuth) = self.polar(q);
+        // points move away from the pole that the motion points at, but for the band: by its width in the plane, and by
+        // at most three times that where it bends round the pole
+        let first = from_pole - if at_pole { radius } else { radius.min(4.0 * band) };
+        for r in ring(first)..=ring(from_pole + radius) {
+            let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
+            let (ring, sine) = (&self.rings[r], band.sin());
+            // nearer to a pole the band is about all meridians
+            if at_pole || 1.5 * sine >= thinnest {
+                ring.iter().for_each(|&(_, j)| visit(j));
+                continue;
+            }
+            let half = (sine / thinnest).asin();
+            for turn in [-2.0 * PI, 0.0, 2.0 * PI] {
+                let (low, high) = (azimuth - half + turn, azimuth + half + turn);
+                let begin = ring.partition_point(|entry| entry.0 < low);
+                ring[begin..].iter().take_while(|entry| entry.0 <= high).for_each(|&(_, j)| visit(j));
+            }
+        }
+    }
+}
+
+fn ring(from_pole: f64) -> usize {
+    ((from_pole.max(0.0) / PI * RINGS as f64) as usize).min(RINGS - 1)
+}
+
+/// Normal of the great circle through `q` and `e`, its tangent at `q` away from `e`, and the direction in its plane that
+/// is square to `e`, on the side of `q`; none where `q` is at a pole of the motion, which all great circles pass.
+fn great_circle(q: &Vector<3>, e: &Vector<3>, sin_band: f64) -> Option<[Vector<3>; 3]> {
+    let normal = [q[1] * e[2] - q[2] * e[1], q[2] * e[0] - q[0] * e[2], q[0] * e[1] - q[1] * e[0]];
+    let along = dot(q, e);
+    let vectors = [normal, sub(&scale(along, q), e), sub(q, &scale(along, e))];
+    (norm(&normal) > sin_band).then(|| vectors.map(|v| normalized(&v)))
+}
+
+/// Bearings sorted by the cube of space that they are in.
+struct Grid {
+    n: usize,
+    /// Where the features of each cube begin.
+    starts: Vec<u32>,
+    features: Vec<u32>,
+}
+
+impl Grid {
+    fn new(bearings: &[Vector<3>], chord: f64) -> Self {
+        let n = ((2.0 / chord).floor() as usize).clamp(1, MAX_CELLS);
+        let mut starts = vec![0; n * n * n + 1];
+        let known: Vec<u32> =
+            (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite())).collect();
+        let cube = |j: u32| index(n, bearings[j as usize].map(|x| cell(x, n)));
+        for &j in &known {
+            starts[cube(j) + 1] += 1;
+        }
+        for c in 1..starts.len() {
+            starts[c] += starts[c - 1];
+        }
+        let (mut next, mut features) = (starts.clone(), vec![0; known.len()]);
+        for &j in &known {
+            let place = &mut next[cube(j)];
+            features[*place as usize] = j;
+            *place += 1;
+        }
+        Self { n, starts, features }
+    }
+
+    /// Calls `visit` with the features of the cube of `q` and of those around it.
+    fn near(&self, q: &Vector<3>, mut visit: impl FnMut(u32)) {
+        let middle = q.map(|x| cell(x, self.n));
+        let [low, high] = [middle.map(|c| c.saturating_sub(1)), middle.map(|c| (c + 1).min(self.n - 1))];
+        for x in low[0]..=high[0] {
+            for y in low[1]..=high[1] {
+                // cubes along z follow one another
+                let begin = self.starts[index(self.n, [x, y, low[2]])] as usize;
+                let end = self.starts[index(self.n, [x, y, high[2]]) + 1] as usize;
+                self.features[begin..end].iter().for_each(|&j| visit(j));
+            }
+        }
+    }
+}
+
+fn cell(x: f64, n: usize) -> usize {
+    (((x + 1.0) * 0.5 * n as f64).max(0.0) as usize).min(n - 1)
+}
+
+fn index(n: usize, at: [usize; 3]) -> usize {
+    (at[0] * n + at[1]) * n + at[2]
+}

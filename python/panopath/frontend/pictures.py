@@ -1,0 +1,354 @@
+"""From a source to features and matches, in the form in which the mapper takes them.
+
+    video:   motion -> keyframes -> features -> matches
+    folder:            pictures  -> features -> matches
+
+As many pictures are in memory as are worked on at once; features stay.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from panopath.cameras import bearings_from_equirectangular, bearings_from_pixels
+from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
+from panopath.formats.database import Database, database_of_features
+from panopath.frontend.extras import opencv
+from panopath.frontend.features import FeatureOptions, Features, extract_features
+from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
+from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
+from panopath.frontend.sources import Source, SourceKind
+from panopath.frontend.video import (
+    VideoKind,
+    VideoMotion,
+    VideoOptions,
+    choose_keyframes,
+    read_frames,
+    video_motion,
+)
+from panopath.model import Bool, Float, InputError, Int
+
+Index = npt.NDArray[np.int64]
+
+_NOT_DETERMINED = {
+    VideoKind.STILL: "the camera stands still: there is no path to find; move it by some metres",
+    VideoKind.PURE_ROTATION: "the camera only turns: without a change of place nothing can be seen in depth",
+    VideoKind.DARK: "the video is too dark to follow anything",
+    VideoKind.TEXTURELESS: "there is nothing to follow: no texture",
+}
+#: Pictures in work at once, at most: each takes some 40 times its bytes.
+_MOST_AT_ONCE = 4
+#: Fewest features that say anything of a picture.
+_FEWEST = 30
+
+
+@dataclass(frozen=True)
+class FrontEndOptions:
+    """Choices of :func:`measure`."""
+
+    #: Pictures wider than this are shrunk before features are sought.
+    width: int = 1600
+    features: FeatureOptions = field(default_factory=FeatureOptions)
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    video: VideoOptions = field(default_factory=VideoOptions)
+    #: Whether the pictures of a folder were taken in the order of their names.
+    in_sequence: bool = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.width, bool) or not isinstance(self.width, int) or self.width < 128:
+            raise InputError(f"width is {self.width!r}, expected a whole number of at least 128")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture that was measured, as it passes by."""
+
+    index: int
+    name: str
+    #: (height, width) at the working resolution; and red, green, blue where asked for.
+    gray: Gray
+    color: Gray | None
+    #: Seconds: of a video, from its start; of pictures, of the camera's clock; NaN where unknown.
+    time_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the front end found."""
+
+    source: Source
+    #: For :func:`panopath.mapping.map_database`.
+    database: Database
+    features: tuple[Features, ...]
+    matches: ImageMatches
+    #: (M,) seconds, NaN where unknown; and of a video the (M,) numbers of the frames.
+    time_s: Float
+    frame_index: Int | None
+    motion: VideoMotion | None
+    #: Names of pictures with too few features to say anything.
+    empty: tuple[str, ...]
+    #: Seconds of each stage.
+    seconds: dict[str, float]
+
+
+def measure(
+    source: Source,
+    options: FrontEndOptions | None = None,
+    *,
+    masks: Path | None = None,
+    report: Callable[[str, int, int], None] | None = None,
+    each: Callable[[Picture], None] | None = None,
+    color: bool = False,
+) -> Measured:
+    """Find features in the pictures of a source and match them.
+
+    Parameters
+    ----------
+    source
+        See :func:`panopath.frontend.recognise`.
+    options
+        Choices; default ``FrontEndOptions()``.
+    masks
+        A mask for all pictures, or a folder of masks named like them: no features where they are black.
+    report
+        Called with a stage, how many of its steps are done and how many there are (0: not known).
+    each
+        Called with every picture that is measured, while it is in memory.
+    color
+        Whether ``each`` gets colours.
+
+    Raises
+    ------
+    InputError
+        Where the source says why nothing can be found: it stands still, is dark, nothing matches.
+    """
+    chosen = FrontEndOptions() if options is None else options
+    say = report or (lambda _stage, _done, _of: None)
+    seconds: dict[str, float] = {}
+    motion, keyframes = None, None
+    if source.kind is SourceKind.VIDEO:
+        begin = time.perf_counter()
+        motion = _moving(source, chosen, say)
+        keyframes = choose_keyframes(motion, chosen.video)
+        seconds["motion"] = time.perf_counter() - begin
+    begin = time.perf_counter()
+    n = len(source.images) if keyframes is None else len(keyframes)
+    names, features, times = [], [], []
+    for picture, found in _in_parallel(
+        _pictures(source, keyframes, chosen.width, masks, color),
+        lambda one, mask: extract_features(one.gray, chosen.features, mask=mask, equirectangular=source.is_panoramic),
+    ):
+        features.append(found)
+        names.append(picture.name)
+        times.append(picture.time_s)
+        if each is not None:
+            each(picture)
+        say("features", picture.index + 1, n)
+    seconds["features"] = time.perf_counter() - begin
+    empty = tuple(name for name, found in zip(names, features, strict=True) if len(found) < _FEWEST)
+    if len(features) - len(empty) < 2:
+        raise InputError(
+            f"{source.path}: {len(empty)} of {len(features)} pictures have no features (dark, blurred or "
+            "without texture), expected at least two that have some"
+        )
+    begin = time.perf_counter()
+    say("matching", 0, 0)
+    cameras, full_size, spans = _cameras(source, chosen.width)
+    camera_of = _camera_of(source, n)
+    full = [
+        _with_bearings(cameras[c], _scaled(found, full_size[c])) for found, c in zip(features, camera_of, strict=True)
+    ]
+    matches = _match(source, full, cameras, spans, chosen)
+    seconds["matching"] = time.perf_counter() - begin
+    if not len(matches.pairs):
+        raise InputError(
+            f"{source.path}: no two pictures match, expected pictures that show the same things from "
+            "places not far apart"
+        )
+    known = positions_of(list(source.headers)) if source.headers else None
+    is_rig = source.kind is SourceKind.RIG
+    database = database_of_features(
+        names,
+        cameras,
+        camera_of,
+        [found.pixels for found in full],
+        matches.pairs,
+        matches.starts,
+        matches.matches,
+        image_frame=source.image_frame if is_rig else None,
+        sensor_from_rig=source.sensor_from_rig if is_rig else None,
+        center_in_rig=source.center_in_rig if is_rig else None,
+        position_wgs84=known,
+        feature_px=spans,
+        source=source.path,
+    )
+    index = None if keyframes is None else keyframes.astype(np.int32)
+    return Measured(source, database, tuple(full), matches, np.array(times), index, motion, empty, seconds)
+
+
+def _in_parallel(
+    pictures: Iterator[tuple[Picture, Bool | None]], task: Callable[[Picture, Bool | None], Features]
+) -> Iterator[tuple[Picture, Features]]:
+    """Work on as many pictures at once as there are processors, in their order.
+
+    OpenCV's own threads share one picture and wait for one another; a picture each is faster, and one thread each.
+    """
+    cv2, n = opencv(), min(os.cpu_count() or 1, _MOST_AT_ONCE)
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    waiting: deque[tuple[Picture, Future[Features]]] = deque()
+    pool = ThreadPoolExecutor(n)
+    try:
+        for picture, mask in pictures:
+            waiting.append((picture, pool.submit(task, picture, mask)))
+            if len(waiting) > n:
+                first, found = waiting.popleft()
+                yield first, found.result()
+        while waiting:
+            first, found = waiting.popleft()
+            yield first, found.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+        cv2.setNumThreads(before)
+
+
+def _moving(source: Source, options: FrontEndOptions, say: Callable[[str, int, int], None]) -> VideoMotion:
+    n = source.video.n_frames if source.video is not None else 0
+    motion = video_motion(source.path, options.video, lambda done: say("motion", done, n))
+    if motion.kind is not VideoKind.MOVING:
+        raise InputError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
+    return motion
+
+
+def _pictures(
+    source: Source, keyframes: Index | None, width: int, masks: Path | None, color: bool
+) -> Iterator[tuple[Picture, Bool | None]]:
+    """Yield pictures at the working resolution, with their masks."""
+    if keyframes is not None:
+        own = min(width, source.cameras[0].width) // 2 * 2
+        if masks is not None and not masks.is_file():
+            raise InputError(f"{masks}: is no file, expected one mask for all frames of a video")
+        mask = None if masks is None else read_mask(masks)
+        for k, frame in enumerate(read_frames(source.path, keyframes.tolist(), own, color=color)):
+            name = f"frame_{frame.index:06d}.jpg"
+            yield Picture(k, name, frame.gray, frame.color, frame.time_s), mask
+        return
+    listed = masks_of(masks, list(source.images))
+    for k, (path, name, header) in enumerate(zip(source.images, source.names, source.headers, strict=True)):
+        rgb = _at_working_size(read_image(path, color=True), source, width) if color else None
+        gray = _at_working_size(read_image(path), source, width)
+        mask_file = listed[k]
+        mask = None if mask_file is None else read_mask(mask_file)
+        yield Picture(k, name, gray, rgb, np.nan if header.time_s is None else header.time_s), mask
+
+
+def _at_working_size(picture: Gray, source: Source, width: int) -> Gray:
+    """Shrink; a panorama that lost a row becomes twice as wide as high."""
+    if not source.is_panoramic:
+        return at_width(picture, width)
+    own = min(width, picture.shape[1]) // 2 * 2
+    if picture.shape[:2] == (own // 2, own):
+        return picture
+    cv2 = opencv()
+    return np.asarray(cv2.resize(picture, (own, own // 2), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _camera_of(source: Source, n: int) -> Int:
+    return source.image_camera if len(source.image_camera) else np.zeros(n, dtype=np.int32)
+
+
+def _cameras(source: Source, width: int) -> tuple[tuple[Camera, ...], list[tuple[float, float]], Float]:
+    """Cameras of the database; pixels of each for one of the working resolution, in x and y; and how much they span.
+
+    Frames of a video become pictures at the working resolution; those of a folder stay as they are.
+    """
+    if source.kind is SourceKind.VIDEO:
+        own = min(width, source.cameras[0].width) // 2 * 2
+        camera = Camera(1, EQUIRECTANGULAR_ID, own, own // 2, (float(own), float(own // 2)))
+        return (camera,), [(1.0, 1.0)], np.ones(1)
+    scales = []
+    for camera in source.cameras:
+        own = min(width, camera.width)
+        if source.is_panoramic:
+            own = own // 2 * 2
+            scales.append((camera.width / own, camera.height / (own // 2)))
+        else:
+            scales.append((camera.width / own, camera.height / max(1, round(camera.height * own / camera.width))))
+    return source.cameras, scales, np.array([scale[0] for scale in scales])
+
+
+def _scaled(found: Features, scale: tuple[float, float]) -> Features:
+    """Features with their pixels in an image of another size."""
+    return found if scale == (1.0, 1.0) else replace(found, pixels=found.pixels * scale)
+
+
+def _with_bearings(camera: Camera, found: Features) -> Features:
+    """Leave out features that the camera cannot unproject, such as those beyond the circle of a fisheye."""
+    known = np.isfinite(_rays(camera, found)).all(axis=1)
+    return found if known.all() else Features(found.pixels[known], found.descriptors[known])
+
+
+def _match(
+    source: Source, features: list[Features], cameras: tuple[Camera, ...], spans: Float, options: FrontEndOptions
+) -> ImageMatches:
+    camera_of = _camera_of(source, len(features))
+    rays = [_rays(cameras[c], found) for c, found in zip(camera_of, features, strict=True)]
+    pixel_rad = float(np.median([_pixel_rad(camera) * span for camera, span in zip(cameras, spans, strict=True)]))
+    pairs = None
+    if source.kind is SourceKind.RIG:
+        pairs = _pairs_of_frames(source.image_frame, options)
+    positions = None
+    if source.headers:
+        positions = _metres(positions_of(list(source.headers)))
+    return match_images(
+        features, rays, pixel_rad, options.matching, in_sequence=options.in_sequence and pairs is None,
+        positions_m=positions, pairs=pairs,
+    )  # fmt: skip
+
+
+def _rays(camera: Camera, found: Features) -> Float:
+    if camera.model in {EQUIRECTANGULAR_ID, "EQUIRECTANGULAR"}:
+        return bearings_from_equirectangular(found.pixels, camera.width, camera.height)
+    return bearings_from_pixels(_as_mapping(camera), found.pixels)
+
+
+def _as_mapping(camera: Camera) -> dict[str, Any]:
+    return {"model": camera.model, "width": camera.width, "height": camera.height, "params": list(camera.params)}
+
+
+def _pixel_rad(camera: Camera) -> float:
+    """Angle of a pixel, of cameras with a focal length that in the middle."""
+    if camera.model in {EQUIRECTANGULAR_ID, "EQUIRECTANGULAR"}:
+        return 2.0 * np.pi / camera.width
+    middle = np.array([[camera.width / 2, camera.height / 2], [camera.width / 2 + 1, camera.height / 2]])
+    a, b = bearings_from_pixels(_as_mapping(camera), middle)
+    return float(np.linalg.norm(a - b))
+
+
+def _pairs_of_frames(frame: Int, options: FrontEndOptions) -> Int:
+    """All pairs of pictures of moments that follow one another, or of all moments where there are few."""
+    first, second = np.triu_indices(len(frame), 1)
+    apart = np.abs(frame[first] - frame[second])
+    n_frames = int(frame.max()) + 1
+    near = n_frames if n_frames <= options.matching.exhaustive_images else options.matching.neighbours
+    keep = (apart > 0) & (apart <= near)
+    return np.stack((first[keep], second[keep]), axis=1).astype(np.int32)
+
+
+def _metres(wgs84: Float) -> Float:
+    """Places good enough to say which are near: metres north, east and up of the first."""
+    known = wgs84[np.isfinite(wgs84).all(axis=1)]
+    origin = known[0] if len(known) else np.zeros(3)
+    degree = 111_320.0
+    scale = np.array([degree, degree * np.cos(np.radians(origin[0])), 1.0])
+    return np.asarray((wgs84 - origin) * scale)

@@ -1,0 +1,401 @@
+"""A 360 video: how the camera moved from frame to frame, roughly, and which frames to measure in.
+
+Points are followed on a small image (Lucas and Kanade 1981, pyramids of Bouguet 2001) from a frame of reference on. The
+rotation that carries their bearings nearest to where they began is taken off; the median angle left is parallax. Where
+it has grown enough, the next reference begins. This drifts, and is never used to measure: it says where new keyframes
+are worth their time, and what kind of video this is.
+
+The video is decoded twice, first small and whole, then the keyframes at the working resolution; one frame is in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from panopath.cameras import bearings_from_equirectangular
+from panopath.frontend.extras import opencv, pyav
+from panopath.frontend.images import Gray
+from panopath.model import Bool, Float, InputError, Tracks, read_only
+from panopath.steps import fit_rotations
+
+Index = npt.NDArray[np.int64]
+
+#: Points followed, and fewest that say how the camera moved.
+_POINTS, _FEWEST = 400, 25
+#: Parallax at which the next frame of reference begins, radians: well above what following errs by.
+_REFERENCE_RAD = float(np.radians(0.8))
+#: What stays below these, radians, is no motion.
+_STILL_RAD, _NO_TURN_RAD = float(np.radians(0.25)), float(np.radians(1.5))
+#: Mean brightness of a dark frame.
+_DARK = 16.0
+#: Pixels by which the small image runs on over its seam.
+_PAD = 48
+#: Elevation up to which points are followed: nearer the poles the image is stretched too much.
+_MOST_ELEVATION_RAD = float(np.radians(60.0))
+
+
+class VideoKind(StrEnum):
+    """What the motion turned out to be."""
+
+    MOVING = "moving"
+    #: Neither motion nor rotation.
+    STILL = "still"
+    #: Rotation alone: there is no parallax to see depth by.
+    PURE_ROTATION = "pure_rotation"
+    #: Too dark to follow anything.
+    DARK = "dark"
+    #: Light enough, but with nothing to follow.
+    TEXTURELESS = "textureless"
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """Choices of :func:`video_motion` and :func:`choose_keyframes`."""
+
+    #: Width of the image on which points are followed.
+    motion_width: int = 640
+    #: Parallax from one keyframe to the next, radians.
+    parallax_rad: float = float(np.radians(3.0))
+    #: A video with less parallax than this many keyframes need has them closer together.
+    least_keyframes: int = 16
+    #: Frames further apart than this, in seconds, are no neighbours worth relying on: a keyframe comes in between.
+    most_apart_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not 64 <= self.motion_width <= 8192:
+            raise InputError(f"motion_width is {self.motion_width!r}, expected 64 to 8192")
+        for name in ("parallax_rad", "most_apart_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} is {value!r}, expected a positive number")
+        if self.least_keyframes < 2:
+            raise InputError(f"least_keyframes is {self.least_keyframes!r}, expected at least 2")
+
+
+@dataclass(frozen=True)
+class VideoHeader:
+    """What the container says."""
+
+    path: Path
+    width: int
+    height: int
+    #: Frames a second, and how many frames the container announces (0: it does not).
+    rate_hz: float
+    n_frames: int
+    codec: str
+
+
+@dataclass(frozen=True, eq=False)
+class VideoMotion:
+    """The rough motion over all F frames that could be decoded."""
+
+    #: (F,) seconds.
+    time_s: Float
+    #: (F, 3, 3) rotation of each camera from the first, chained; it drifts.
+    cam_from_first: Float
+    #: (F,) parallax that has gone by, radians; never less than before.
+    travelled_rad: Float
+    #: (F,) variance of the Laplacian: low where blurred.
+    sharpness: Float
+    #: (F,) mean brightness, 0 to 255.
+    brightness: Float
+    #: (F,) frames where too few points could be followed from the one before.
+    lost: Bool
+    #: Packets or frames that could not be decoded.
+    n_corrupt: int
+    kind: VideoKind
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "cam_from_first", "travelled_rad", "sharpness", "brightness", "lost"):
+            read_only(getattr(self, name))
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def read_video_header(path: Path) -> VideoHeader:
+    """Read what the container says of its first video stream.
+
+    Raises
+    ------
+    InputError
+        Naming a file without video.
+    """
+    with _open(path) as (_, stream):
+        context = stream.codec_context
+        return VideoHeader(
+            path,
+            int(context.width),
+            int(context.height),
+            float(stream.average_rate or 0.0),
+            int(stream.frames),
+            str(context.name),
+        )
+
+
+class _open:  # noqa: N801 a function to its callers
+    """Container and first video stream; what FFmpeg says of the file becomes one line."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> tuple[Any, Any]:
+        av = pyav()
+        if not self._path.is_file():
+            raise InputError(f"{self._path}: there is no such file")
+        try:
+            self._container = av.open(str(self._path))
+        except (av.error.FFmpegError, OSError) as error:
+            raise InputError(f"{self._path}: cannot be read as a video ({error.strerror or error})") from None
+        if not self._container.streams.video or not self._container.streams.video[0].codec_context.width:
+            self._container.close()
+            raise InputError(f"{self._path}: has no video stream")
+        stream = self._container.streams.video[0]
+        stream.thread_type = "AUTO"
+        return self._container, stream
+
+    def __exit__(self, *_: object) -> None:
+        self._container.close()
+
+
+def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[Any]:
+    """Yield the frames that can be decoded, in their order."""
+    error_type = pyav().error.FFmpegError
+    with _open(path) as (container, stream):
+        packets = container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+                if packet is None:
+                    return
+                frames = packet.decode()
+            except error_type:
+                # a damaged packet costs its frames, not the video
+                if damaged is not None:
+                    damaged()
+                continue
+            for frame in frames:
+                if frame.is_corrupt:
+                    if damaged is not None:
+                        damaged()
+                else:
+                    yield frame
+
+
+def video_motion(
+    path: Path, options: VideoOptions | None = None, report: Callable[[int], None] | None = None
+) -> VideoMotion:
+    """Follow points through a 360 video.
+
+    Parameters
+    ----------
+    path
+        The file.
+    options
+        Choices; default ``VideoOptions()``.
+    report
+        Called with the number of frames seen so far.
+
+    Raises
+    ------
+    InputError
+        Where no frame can be decoded.
+    """
+    chosen = VideoOptions() if options is None else options
+    counter = {"corrupt": 0}
+
+    def damaged() -> None:
+        counter["corrupt"] += 1
+
+    width = chosen.motion_width
+    follower, times = _Follower(width), []
+    for k, frame in enumerate(_frames(path, damaged)):
+        small = frame.reformat(width=width, height=width // 2, format="gray", interpolation="AREA").to_ndarray()
+        times.append(float(frame.time) if frame.time is not None else float(k))
+        follower.see(np.ascontiguousarray(small[: width // 2, :width]))
+        if report is not None:
+            report(k + 1)
+    if not times:
+        raise InputError(f"{path}: no frame of it can be decoded")
+    return follower.motion(np.array(times), counter["corrupt"])
+
+
+class _Follower:
+    """Points followed from a frame of reference on."""
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._before: Gray | None = None
+        self._points = np.empty((0, 2), dtype=np.float32)
+        self._began = np.empty((0, 3))
+        self._reference_from_first = np.eye(3)
+        self._base_rad = 0.0
+        self._rotations: list[Float] = []
+        self._travelled: list[float] = []
+        self._sharpness: list[float] = []
+        self._brightness: list[float] = []
+        self._lost: list[bool] = []
+        self._n_points: list[int] = []
+
+    def see(self, small: Gray) -> None:
+        """Take the next frame."""
+        cv2 = opencv()
+        padded = np.concatenate((small[:, -_PAD:], small, small[:, :_PAD]), axis=1)
+        self._sharpness.append(float(cv2.Laplacian(small, cv2.CV_32F).var()))
+        self._brightness.append(float(small.mean()))
+        if self._before is None:
+            rotation, parallax, lost = np.eye(3), 0.0, False
+        else:
+            rotation, parallax, lost = self._follow(padded)
+        self._rotations.append(rotation @ self._reference_from_first)
+        self._travelled.append(max([self._base_rad + parallax, *self._travelled[-1:]]))
+        self._lost.append(lost)
+        self._before = padded
+        few = len(self._points) < max(_FEWEST, _POINTS // 3)
+        if lost or few or parallax > _REFERENCE_RAD or len(self._rotations) == 1:
+            if parallax > _STILL_RAD / 2:
+                self._base_rad += parallax
+            self._restart(small)
+        self._n_points.append(len(self._points))
+
+    def _follow(self, padded: Gray) -> tuple[Float, float, bool]:
+        """Rotation from the frame of reference, and the median angle that it leaves."""
+        if len(self._points) >= _FEWEST:
+            moved, found, _ = opencv().calcOpticalFlowPyrLK(
+                self._before,
+                padded,
+                self._points + np.array((_PAD, 0), dtype=np.float32),
+                None,
+                winSize=(15, 15),
+                maxLevel=4,
+            )
+            moved = moved - np.array((_PAD, 0), dtype=np.float32)
+            elevation = np.abs(0.5 - moved[:, 1] / (self._width / 2)) * np.pi
+            keep = (found.ravel() == 1) & (elevation < _MOST_ELEVATION_RAD)
+            self._points = np.mod(moved[keep], np.array((self._width, 1e6))).astype(np.float32)
+            self._began = self._began[keep]
+        if len(self._points) < _FEWEST:
+            return np.eye(3), 0.0, True
+        now = self._bearings()
+        rotation = _rotation(self._began, now)
+        off = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(self._began @ rotation.T - now, axis=1), 0.0, 1.0))
+        # what went astray is not followed further
+        median = float(np.median(off))
+        good = off < max(6.0 * median, 0.02)
+        self._points, self._began = self._points[good], self._began[good]
+        return rotation, median, bool(median > np.radians(20.0))
+
+    def _restart(self, small: Gray) -> None:
+        cv2 = opencv()
+        if self._rotations:
+            self._reference_from_first = self._rotations[-1]
+        height, width = small.shape
+        mask = np.zeros_like(small)
+        most = int(_MOST_ELEVATION_RAD / np.pi * height)
+        mask[height // 2 - most : height // 2 + most] = 255
+        points = cv2.goodFeaturesToTrack(small, _POINTS, 0.003, width / 80, mask=mask, blockSize=5)
+        self._points = np.empty((0, 2), np.float32) if points is None else points.reshape(-1, 2).astype(np.float32)
+        self._began = self._bearings()
+
+    def _bearings(self) -> Float:
+        return bearings_from_equirectangular(self._points.astype(np.float64) + 0.5, self._width, self._width // 2)
+
+    def motion(self, time_s: Float, n_corrupt: int) -> VideoMotion:
+        """Sum up."""
+        rotations, travelled = np.array(self._rotations), np.array(self._travelled)
+        return VideoMotion(
+            time_s=time_s,
+            cam_from_first=rotations,
+            travelled_rad=travelled,
+            sharpness=np.array(self._sharpness),
+            brightness=np.array(self._brightness),
+            lost=np.array(self._lost),
+            n_corrupt=n_corrupt,
+            kind=self._kind(rotations, travelled),
+        )
+
+    def _kind(self, rotations: Float, travelled: Float) -> VideoKind:
+        if float(np.median(self._n_points)) < _FEWEST:
+            return VideoKind.DARK if float(np.median(self._brightness)) < _DARK else VideoKind.TEXTURELESS
+        if travelled[-1] >= _STILL_RAD:
+            return VideoKind.MOVING
+        cosine = 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0)
+        turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
+        return VideoKind.PURE_ROTATION if turned > _NO_TURN_RAD else VideoKind.STILL
+
+
+def _rotation(first: Float, second: Float) -> Float:
+    """Rotation that carries bearings nearest to others; near points, which move by themselves, count little."""
+    n = len(first)
+    tracks = Tracks.from_arrays(np.zeros(n, dtype=np.int32), np.arange(n, dtype=np.int32), second, 1, n)
+    return np.asarray(fit_rotations(tracks, (np.zeros((1, 3)), first), np.eye(3)[None])[0])
+
+
+def choose_keyframes(motion: VideoMotion, options: VideoOptions | None = None) -> Index:
+    """Choose frames at equal steps of parallax, the sharpest thereabouts.
+
+    Returns
+    -------
+    array
+        Indices of frames, ascending; the first and the last are about the ends of the video.
+    """
+    chosen = VideoOptions() if options is None else options
+    travelled = np.asarray(motion.travelled_rad)
+    total = float(travelled[-1])
+    n_steps = max(int(np.ceil(total / chosen.parallax_rad)), min(chosen.least_keyframes, len(motion)) - 1, 1)
+    step = max(total / n_steps, 1e-9)
+    found = []
+    for k in range(n_steps + 1):
+        near = np.flatnonzero(np.abs(travelled - k * step) <= step / 3)
+        if not len(near):
+            near = np.array([int(np.argmin(np.abs(travelled - k * step)))])
+        off = np.abs(travelled[near] - k * step) / step
+        # places are kept but for sharper frames
+        found.append(int(near[np.argmax(motion.sharpness[near] * (1.0 - off))]))
+    # both sides of a gap, so that what follows is tied to what there is
+    gaps = np.flatnonzero(motion.lost)
+    keyframes = np.unique(np.concatenate((found, gaps, np.maximum(gaps - 1, 0)))).astype(np.int64)
+    return _no_further_apart(keyframes, motion.time_s, chosen.most_apart_s)
+
+
+def _no_further_apart(keyframes: Index, time_s: Float, most_s: float) -> Index:
+    """Put frames between keyframes that are far apart in time: a camera that stood, or only turned."""
+    between = []
+    for a, b in zip(keyframes[:-1].tolist(), keyframes[1:].tolist(), strict=True):
+        n = int((time_s[b] - time_s[a]) / most_s)
+        between += [a + (b - a) * k // (n + 1) for k in range(1, n + 1)]
+    return np.unique(np.concatenate((keyframes, np.array(between, dtype=np.int64))))
+
+
+@dataclass(frozen=True, eq=False)
+class VideoFrame:
+    """One frame at the working resolution."""
+
+    index: int
+    time_s: float
+    gray: Gray
+    #: (height, width, 3) red, green, blue, where asked for.
+    color: Gray | None
+
+
+def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool = False) -> Iterator[VideoFrame]:
+    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high."""
+    wanted = iter(indices)
+    following = next(wanted, None)
+    for k, frame in enumerate(_frames(path)):
+        if following is None:
+            return
+        if k != int(following):
+            continue
+        following = next(wanted, None)
+        size = {"width": width, "height": width // 2, "interpolation": "AREA"}
+        gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
+        rgb = np.ascontiguousarray(frame.reformat(format="rgb24", **size).to_ndarray()) if color else None
+        yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
