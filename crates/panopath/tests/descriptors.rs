@@ -1,4 +1,5 @@
 //! Matching of descriptors: exhaustive, guided by a motion, and what cannot be matched.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used)]
 
 use panopath::Rotation;
 use panopath::descriptors::{Features, Guide, ImagePair, LENGTH, MatchError, MatchOptions, match_features};
