@@ -24,6 +24,7 @@ mod stretch;
 use crate::bundle::determinacy::{GaugeBasis, Motions};
 use crate::bundle::noise::{OUTLIER_SIGMAS, SIGMA_FLOOR_RAD, precisions};
 use crate::geometry::Vector;
+use crate::sets::Sets;
 use crate::structure::Structure;
 use crate::tracks::Tracks;
 
@@ -287,10 +288,6 @@ fn observations_that_count<const D: usize>(tracks: &Tracks<D>, scene: &Structure
         }
     }
     counts
-}
-
-fn squared_distance<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
-    (0..D).map(|c| (a[c] - b[c]).powi(2)).sum()
 }
 
 /// A component with a weak mode, and who moves in it.
@@ -814,22 +811,13 @@ fn principal<const D: usize>(scatter: &[[f64; D]; D]) -> Vector<D> {
 /// Connected sets of observations.
 fn connected<const D: usize>(scene: &Sightings<'_, D>, observations: &[u32]) -> Vec<Vec<u32>> {
     let n_views = scene.centers.len();
-    let mut parent: Vec<u32> = (0..(n_views + scene.points.len()) as u32).collect();
-    fn root(parent: &mut [u32], mut a: usize) -> usize {
-        while parent[a] as usize != a {
-            parent[a] = parent[parent[a] as usize];
-            a = parent[a] as usize;
-        }
-        a
-    }
+    let mut sets = Sets::new(n_views + scene.points.len());
     for &o in observations {
-        let a = root(&mut parent, scene.view[o as usize] as usize);
-        let b = root(&mut parent, n_views + scene.track[o as usize] as usize);
-        parent[a.max(b)] = a.min(b) as u32;
+        sets.join(scene.view[o as usize] as usize, n_views + scene.track[o as usize] as usize);
     }
     let mut pieces: std::collections::BTreeMap<usize, Vec<u32>> = std::collections::BTreeMap::new();
     for &o in observations {
-        pieces.entry(root(&mut parent, scene.view[o as usize] as usize)).or_default().push(o);
+        pieces.entry(sets.find(scene.view[o as usize] as usize)).or_default().push(o);
     }
     pieces.into_values().collect()
 }
