@@ -17,6 +17,7 @@ from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
 from panopath.report import draw_certificate
 
 from benchmarks.page import table
+from benchmarks.real_data import picture_link
 from benchmarks.real_orientation import largest_part
 from benchmarks.scoring import align, distances
 
@@ -277,7 +278,7 @@ def picture(one: Certified, images: Path, name: str, text: str, unit: str = "") 
     with tempfile.TemporaryDirectory() as scratch:
         (drawn,) = draw_certificate(one.case.scene, one.certificate, scratch, unit)
         shutil.move(drawn, images / f"certificate_{name}.png")
-    return f"![{text}](img/real-data/certificate_{name}.png)"
+    return picture_link(f"certificate_{name}.png", text)
 
 
 # modes of planar scenes

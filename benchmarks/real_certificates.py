@@ -7,11 +7,8 @@ outside the project, in ``../shared/data``; a set that is absent is skipped, say
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -48,21 +45,11 @@ from benchmarks.certificate_checks import (
     with_truth,
 )
 from benchmarks.page import table
-from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh, read_victoria_park
-from benchmarks.real_data import (
-    CERTIFICATES,
-    DATA,
-    MRCLAM,
-    VICTORIA_WINDOW_M,
-    page,
-    planar_tracks,
-    prose,
-    sections_of,
-)
+from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh
+from benchmarks.real_data import CERTIFICATES, MRCLAM, Writer, planar_tracks, prose, read_park, renew
 from benchmarks.real_orientation import aligned, found_headings
 from benchmarks.reference import Bundle, bundle_adjust_bal
 from benchmarks.scoring import distances, rms
-from benchmarks.victoria import solve_reference, windows
 
 #: Databases of Kerry Park's fisheyes: COLMAP's matching makes another one each time.
 KERRY_RUNS = 6
@@ -168,15 +155,11 @@ def mrclam(folder: Path, images: Path) -> str:
 
 def victoria_park(folder: Path, images: Path) -> str:
     """Section on Victoria Park, with headings of the reference and of dead reckoning."""
-    drive = read_victoria_park(folder / "victoria_park.txt")
-    reference = solve_reference(drive)
-    seen = windows(drive, VICTORIA_WINDOW_M)
-    trees, tree = np.unique(seen.tree, return_inverse=True)
-    tracks = planar_tracks(seen.view, tree.astype(np.int32), seen.bearing_rad)
-    truth = (reference.poses[seen.pose, :2], reference.trees[trees])
+    park = read_park(folder)
+    tracks, truth = park.tracks, park.truth
     headings = {
-        "headings of the reference": reference.poses[seen.pose, 2],
-        "headings of the dead reckoning": drive.dead_reckoning()[seen.pose, 2],
+        "headings of the reference": park.reference.poses[park.seen.pose, 2],
+        "headings of the dead reckoning": park.drive.dead_reckoning()[park.seen.pose, 2],
     }
     every = []
     for name, heading in headings.items():
@@ -461,7 +444,7 @@ def planar_unknown(folder: Path, images: Path) -> str:
     )
 
 
-SECTIONS: dict[str, tuple[str, Callable[[Path, Path], str]]] = {
+SECTIONS: dict[str, tuple[str, Writer]] = {
     "roh": ("planar_bearings", roh),
     "mrclam": ("planar_bearings", mrclam),
     "victoria_park": ("victoria_park", victoria_park),
@@ -474,30 +457,14 @@ SECTIONS: dict[str, tuple[str, Callable[[Path, Path], str]]] = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Write the sections into the page; those that were not asked for are kept as they stand."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.real_certificates", description=__doc__)
-    parser.add_argument("--only", action="append", choices=list(SECTIONS), help="renew this section alone")
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/real-data.md"))
-    chosen = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
-    output: Path = chosen.output
-    images = output.parent / "img" / "real-data"
-    images.mkdir(parents=True, exist_ok=True)
-    for name in chosen.only or SECTIONS:
-        folder, write = SECTIONS[name]
-        print(f"{name} ...", flush=True)
-        if (DATA / folder).is_dir():
-            text = write(DATA / folder, images)
-        else:
-            text = f"## Certificate: {name.replace('_', ' ')}\n\nSkipped: {folder} is absent from ../shared/data."
-        standing = sections_of(output)
-        standing[CERTIFICATES + name] = text
-        ordered = {known: standing[known] for known in standing if not known.startswith(CERTIFICATES)}
-        ordered |= {
-            CERTIFICATES + known: standing[CERTIFICATES + known]
-            for known in SECTIONS
-            if CERTIFICATES + known in standing
-        }
-        output.write_text(page(ordered), encoding="utf-8")
-    print(f"wrote {output}")
+    renew(
+        "benchmarks.real_certificates",
+        __doc__,
+        SECTIONS,
+        lambda name: f"Certificate: {name.replace('_', ' ')}",
+        arguments=arguments,
+        prefix=CERTIFICATES,
+    )
 
 
 if __name__ == "__main__":

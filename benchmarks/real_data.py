@@ -22,7 +22,7 @@ from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
 
 from benchmarks import pictures
 from benchmarks.page import table
-from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh, read_victoria_park
+from benchmarks.planar_sets import PlanarSet, VictoriaPark, read_mrclam, read_roh, read_victoria_park
 from benchmarks.reference import bundle_adjust_bal
 from benchmarks.run import machine, versions
 from benchmarks.scoring import Alignment, align, distances, rms
@@ -173,7 +173,7 @@ def roh(folder: Path, images: Path) -> str:
             table(HEADER, rows),
             "Each repeat solved alone (rms over the six stations, and over the four beacons):",
             table(("method", "solved", "stations: median", "90 % below", "beacons: median", "90 % below"), singles),
-            _picture("roh.png", "Stations and beacons of Roh's set, true and found"),
+            picture_link("roh.png", "Stations and beacons of Roh's set, true and found"),
         ]
     )
 
@@ -205,7 +205,8 @@ def _aligned(found: dict[str, Fit | str]) -> dict[str, tuple[Float, Float]]:
     return {method: result.aligned() for method, result in found.items() if isinstance(result, Fit)}
 
 
-def _picture(file: str, text: str) -> str:
+def picture_link(file: str, text: str) -> str:
+    """Show a picture that stands beside the page."""
     return f"![{text}](img/real-data/{file})"
 
 
@@ -245,19 +246,37 @@ def mrclam(folder: Path, images: Path) -> str:
                 facts,
             ),
             table(HEADER, rows),
-            *(_picture(f"{name}.png", f"Stations and landmarks of {name}, true and found") for name in MRCLAM[:1]),
+            *(picture_link(f"{name}.png", f"Stations and landmarks of {name}, true and found") for name in MRCLAM[:1]),
         ]
     )
 
 
-def victoria_park(folder: Path, images: Path) -> str:
-    """Section on Victoria Park."""
+@dataclass(frozen=True)
+class Park:
+    """Victoria Park as it is solved: the drive, its reference, and the bearings taken from windows of it."""
+
+    drive: VictoriaPark
+    reference: Reference
+    seen: Windows
+    tracks: Tracks
+    #: Positions of views and of trees.
+    truth: tuple[Float, Float]
+
+
+def read_park(folder: Path) -> Park:
+    """Read the drive, solve its reference, and take bearings."""
     drive = read_victoria_park(folder / "victoria_park.txt")
     reference = solve_reference(drive)
     seen = windows(drive, VICTORIA_WINDOW_M)
     trees, tree = np.unique(seen.tree, return_inverse=True)
     tracks = planar_tracks(seen.view, tree.astype(np.int32), seen.bearing_rad)
-    truth = (reference.poses[seen.pose, :2], reference.trees[trees])
+    return Park(drive, reference, seen, tracks, (reference.poses[seen.pose, :2], reference.trees[trees]))
+
+
+def victoria_park(folder: Path, images: Path) -> str:
+    """Section on Victoria Park."""
+    park = read_park(folder)
+    drive, reference, seen, tracks, truth = park.drive, park.reference, park.seen, park.tracks, park.truth
     reckoned = drive.dead_reckoning()
     headings = {"dead reckoning": reckoned[seen.pose, 2], "reference": reference.poses[seen.pose, 2]}
     found = {name: three_ways(tracks, heading, truth) for name, heading in headings.items()}
@@ -271,7 +290,7 @@ def victoria_park(folder: Path, images: Path) -> str:
         [
             *_victoria_text(drive.n_trees, reckoned, reference, seen, tracks),
             table(HEADER, rows),
-            _picture("victoria_park.png", "Dead reckoning, reference map, and views from bearings alone"),
+            picture_link("victoria_park.png", "Dead reckoning, reference map, and views from bearings alone"),
         ]
     )
 
@@ -350,7 +369,7 @@ def ladybug(folder: Path, images: Path) -> str:
                 """
             ),
             table(HEADER, rows),
-            _picture("ladybug.png", "Ladybug 49 along the principal axes of its path"),
+            picture_link("ladybug.png", "Ladybug 49 along the principal axes of its path"),
         ]
     )
 
@@ -380,7 +399,7 @@ def lund_door(folder: Path, images: Path) -> str:
                 """
             ),
             table(HEADER, rows),
-            _picture("lund_door.png", "Lund door along the principal axes of its path"),
+            picture_link("lund_door.png", "Lund door along the principal axes of its path"),
         ]
     )
 
@@ -448,6 +467,45 @@ def sections_of(path: Path) -> dict[str, str]:
     """Take apart a page written before; sections of ``benchmarks.real_orientation`` among them."""
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     return dict(re.findall(r"^<!-- (\w+) -->\n(.*?)\n<!-- end -->", text, re.MULTILINE | re.DOTALL))
+
+
+Writer = Callable[[Path, Path], str]
+
+
+def renew(
+    program: str,
+    about: str | None,
+    sections: dict[str, tuple[str, Writer]],
+    heading: Callable[[str], str],
+    *,
+    arguments: list[str] | None = None,
+    prefix: str = "",
+) -> None:
+    """Write sections of another module into the page, behind those of this one.
+
+    ``sections`` gives the folder of data and the writer of each by its name, which stands in the page behind
+    ``prefix``; ``heading`` titles a section whose data is absent. Sections that were not asked for are kept as they
+    stand.
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m {program}", description=about)
+    parser.add_argument("--only", action="append", choices=list(sections), help="renew this section alone")
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/real-data.md"))
+    chosen = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
+    output: Path = chosen.output
+    images = output.parent / "img" / "real-data"
+    images.mkdir(parents=True, exist_ok=True)
+    for name in chosen.only or sections:
+        folder, write = sections[name]
+        print(f"{name} ...", flush=True)
+        if (DATA / folder).is_dir():
+            text = write(DATA / folder, images)
+        else:
+            text = f"## {heading(name)}\n\nSkipped: {folder} is absent from ../shared/data."
+        standing = sections_of(output) | {prefix + name: text}
+        own = [prefix + known for known in sections if prefix + known in standing]
+        ordered = {known: standing[known] for known in [*(k for k in standing if k not in own), *own]}
+        output.write_text(page(ordered), encoding="utf-8")
+    print(f"wrote {output}")
 
 
 if __name__ == "__main__":

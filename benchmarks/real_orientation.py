@@ -6,8 +6,6 @@ Writes the last sections of the page of ``benchmarks.real_data``. The data lies 
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -26,7 +24,7 @@ from panopath.planar import complete_planar
 from benchmarks import kerry, pictures
 from benchmarks.page import table
 from benchmarks.planar_sets import PlanarSet, read_mrclam, read_roh
-from benchmarks.real_data import DATA, MRCLAM, page, planar_tracks, prose, sections_of
+from benchmarks.real_data import MRCLAM, Writer, picture_link, planar_tracks, prose, renew
 from benchmarks.reference import Bundle, bundle_adjust_bal
 from benchmarks.scoring import Alignment, align, distances, rms
 
@@ -100,7 +98,7 @@ def ladybug(folder: Path, images: Path) -> str:
                 """
             ),
             table(header, rows),
-            _picture("ladybug_unknown.png", "Ladybug 49 from bearings alone, along the principal axes of its path"),
+            picture_link("ladybug_unknown.png", "Ladybug 49 from bearings alone, along the principal axes of its path"),
         ]
     )
 
@@ -221,7 +219,7 @@ def kerry_park(folder: Path, images: Path) -> str:
                 wherever they lie.
                 """
             ),
-            _picture("kerry_park.png", "Walks of all mappers laid over each other, from above and from the side"),
+            picture_link("kerry_park.png", "Walks of all mappers laid over each other, from above and from the side"),
         ]
     )
 
@@ -396,8 +394,8 @@ def planar_sets(folder: Path, images: Path) -> str:
                 deg) and wrong by 0.3 m, since the sensor's biases of several degrees pass into headings and places.
                 """
             ),
-            _picture("mrclam4_unknown.png", "mrclam4 with headings unknown"),
-            _picture("mrclam2_unknown.png", "mrclam2 with headings unknown"),
+            picture_link("mrclam4_unknown.png", "mrclam4 with headings unknown"),
+            picture_link("mrclam2_unknown.png", "mrclam2 with headings unknown"),
         ]
     )
 
@@ -420,11 +418,7 @@ def planar_row(name: str, way: str, found: PlanarFit, n_stations: int) -> tuple[
     )
 
 
-def _picture(file: str, text: str) -> str:
-    return f"![{text}](img/real-data/{file})"
-
-
-SECTIONS: dict[str, tuple[str, Callable[[Path, Path], str]]] = {
+SECTIONS: dict[str, tuple[str, Writer]] = {
     "ladybug_unknown": ("bal_ladybug49", ladybug),
     "kerry_park": ("kerry_park", kerry_park),
     "planar_unknown": ("planar_bearings", planar_sets),
@@ -433,27 +427,13 @@ SECTIONS: dict[str, tuple[str, Callable[[Path, Path], str]]] = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Write the sections into the page; those that were not asked for are kept as they stand."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.real_orientation", description=__doc__)
-    parser.add_argument("--only", action="append", choices=list(SECTIONS), help="renew this section alone")
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/real-data.md"))
-    chosen = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
-    output: Path = chosen.output
-    images = output.parent / "img" / "real-data"
-    images.mkdir(parents=True, exist_ok=True)
-    for name in chosen.only or SECTIONS:
-        folder, write = SECTIONS[name]
-        print(f"{name} ...", flush=True)
-        if (DATA / folder).is_dir():
-            text = write(DATA / folder, images)
-        else:
-            text = f"## {name.replace('_', ' ').capitalize()}\n\nSkipped: {folder} is absent from ../shared/data."
-        standing = sections_of(output)
-        standing[name] = text
-        # in the order of this module, after those of benchmarks.real_data
-        ordered = {known: standing[known] for known in standing if known not in SECTIONS}
-        ordered |= {known: standing[known] for known in SECTIONS if known in standing}
-        output.write_text(page(ordered), encoding="utf-8")
-    print(f"wrote {output}")
+    renew(
+        "benchmarks.real_orientation",
+        __doc__,
+        SECTIONS,
+        lambda name: name.replace("_", " ").capitalize(),
+        arguments=arguments,
+    )
 
 
 if __name__ == "__main__":

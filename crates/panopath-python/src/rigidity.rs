@@ -94,8 +94,6 @@ fn write<'py, const D: usize>(py: Python<'py>, found: Certificate<D>) -> PyResul
     let modes = found.modes.into_iter().map(|m| mode(py, &m)).collect::<PyResult<Vec<_>>>()?;
     dict.set_item("modes", PyList::new(py, modes)?)?;
     dict.set_item("causes", write_causes(py, found.causes)?)?;
-    dict.set_item("component_of_observation", found.component_of_observation.into_pyarray(py))?;
-    dict.set_item("counts", found.counts.into_pyarray(py))?;
     dict.set_item("sigma_rad", found.sigma_rad)?;
     dict.set_item("sigma_source", found.sigma_source.name())?;
     dict.set_item("view_line", rows(&found.view_line).into_pyarray(py))?;

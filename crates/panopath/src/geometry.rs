@@ -85,6 +85,23 @@ pub fn tangent_basis<const D: usize>(a: &Vector<D>) -> [Vector<D>; 2] {
     basis
 }
 
+/// Inverse of the left Jacobian of the exponential of rotations,
+/// `I - [phi]_x / 2 + (1 - (a/2) cot(a/2)) / a^2 [phi]_x^2`, `a = |phi|` (Barfoot, State Estimation for Robotics, 2017,
+/// eq. 7.77). That of the right one is the same at `-phi`.
+pub(crate) fn inverse_left_jacobian(phi: &Vector<3>) -> Matrix<3> {
+    let squared = dot(phi, phi);
+    let half = 0.5 * squared.sqrt();
+    let factor = if squared < 1e-4 { 1.0 / 12.0 + squared / 720.0 } else { (1.0 - half / half.tan()) / squared };
+    let [x, y, z] = *phi;
+    let cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]];
+    std::array::from_fn(|r| {
+        std::array::from_fn(|c| {
+            let square = phi[r] * phi[c] - if r == c { squared } else { 0.0 };
+            f64::from(r == c) - 0.5 * cross[r][c] + factor * square
+        })
+    })
+}
+
 /// A rotation of the plane (`D = 2`) or of space (`D = 3`), held as an orthonormal matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotation<const D: usize = 3> {

@@ -24,7 +24,6 @@ use crate::tracks::Tracks;
 mod finding;
 mod pairs;
 mod rays;
-mod sets;
 mod windows;
 
 pub use finding::Finding;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::Finding;
 use super::rays::Rays;
-use super::sets::Sets;
+use crate::sets::Sets;
 
 /// Two views that share tracks.
 #[derive(Debug, Clone, Copy)]
@@ -139,12 +139,14 @@ fn guilty(ties: &Ties, elsewhere: f64, chance: f64) -> Vec<Tie> {
 /// Views joined by pairs that agree on `FIRM` tracks, named by the first of them; ties summed over pairs between groups.
 fn between_firm_groups(ties: &Ties) -> (Ties, Vec<Vec<u32>>) {
     let mut sets = Sets::new(ties.n_views);
-    ties.ties.iter().filter(|t| t.agreed >= FIRM).for_each(|t| sets.join(t.first, t.second));
+    ties.ties.iter().filter(|t| t.agreed >= FIRM).for_each(|t| {
+        sets.join(t.first as usize, t.second as usize);
+    });
     let mut members = vec![Vec::new(); ties.n_views];
-    (0..ties.n_views as u32).for_each(|i| members[sets.find(i) as usize].push(i));
+    (0..ties.n_views).for_each(|i| members[sets.find(i)].push(i as u32));
     let mut sums: std::collections::BTreeMap<(u32, u32), (u32, u32)> = std::collections::BTreeMap::new();
     for t in &ties.ties {
-        let (a, b) = (sets.find(t.first), sets.find(t.second));
+        let (a, b) = (sets.find(t.first as usize) as u32, sets.find(t.second as usize) as u32);
         if a != b {
             let sum = sums.entry((a.min(b), a.max(b))).or_default();
             *sum = (sum.0 + t.shared, sum.1 + t.agreed);
@@ -175,10 +177,10 @@ fn unoutweighed(ties: &Ties, mut suspects: Vec<(Tie, f64)>) -> Vec<Tie> {
     let mut guilty = Vec::new();
     for (tie, rejected) in suspects {
         while next < followed.len() && f64::from(followed[next].agreed) >= rejected {
-            sets.join(followed[next].first, followed[next].second);
+            sets.join(followed[next].first as usize, followed[next].second as usize);
             next += 1;
         }
-        if sets.find(tie.first) != sets.find(tie.second) {
+        if sets.find(tie.first as usize) != sets.find(tie.second as usize) {
             guilty.push(tie);
         }
     }
@@ -188,24 +190,25 @@ fn unoutweighed(ties: &Ties, mut suspects: Vec<(Tie, f64)>) -> Vec<Tie> {
 /// Pairs that share views, together; each group in two sides where it has them.
 fn group(n_views: usize, guilty: &[Tie], elsewhere: f64) -> Vec<Finding> {
     // node i is view i on one side, node n + i on the other: a pair joins the sides crosswise
-    let n = n_views as u32;
+    let n = n_views;
     let (mut sets, mut sides) = (Sets::new(n_views), Sets::new(2 * n_views));
     for t in guilty {
-        sets.join(t.first, t.second);
-        sides.join(t.first, t.second + n);
-        sides.join(t.second, t.first + n);
+        let (first, second) = (t.first as usize, t.second as usize);
+        sets.join(first, second);
+        sides.join(first, second + n);
+        sides.join(second, first + n);
     }
-    let mut groups: std::collections::BTreeMap<u32, Vec<&Tie>> = std::collections::BTreeMap::new();
+    let mut groups: std::collections::BTreeMap<usize, Vec<&Tie>> = std::collections::BTreeMap::new();
     for t in guilty {
-        groups.entry(sets.find(t.first)).or_default().push(t);
+        groups.entry(sets.find(t.first as usize)).or_default().push(t);
     }
     let findings = groups.into_values().map(|pairs| {
         let mut views: Vec<u32> = pairs.iter().flat_map(|t| [t.first, t.second]).collect();
         views.sort_unstable();
         views.dedup();
-        let has_sides = sides.find(views[0]) != sides.find(views[0] + n);
-        let begin = sides.find(views[0]);
-        let (first, second) = views.into_iter().partition(|&i| !has_sides || sides.find(i) == begin);
+        let begin = sides.find(views[0] as usize);
+        let has_sides = begin != sides.find(views[0] as usize + n);
+        let (first, second) = views.into_iter().partition(|&i| !has_sides || sides.find(i as usize) == begin);
         let shared: u64 = pairs.iter().map(|t| u64::from(t.shared)).sum();
         let agreed: u64 = pairs.iter().map(|t| u64::from(t.agreed)).sum();
         Finding::Torn { first, second, shared, share: agreed as f64 / shared as f64, elsewhere }

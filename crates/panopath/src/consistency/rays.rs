@@ -2,10 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::sets::Sets;
 use super::{is_finite, is_known};
 use crate::bundle::noise::sigma_from_chords;
 use crate::geometry::{Vector, add, dot, norm, normalized, scale, sub, tangent_basis};
+use crate::lists::Lists;
+use crate::sets::Sets;
 use crate::structure::Structure;
 use crate::tracks::Tracks;
 
@@ -32,48 +33,14 @@ pub(super) struct Rays<'a, const D: usize> {
     /// Of each observation: used by the scene, and by a view and a point of one component.
     pub accepted: Vec<bool>,
     /// Observations of each view that has a position, in the order of the tracks.
-    pub by_view: Groups,
+    pub by_view: Lists,
     /// The same of each track.
-    pub by_track: Groups,
+    pub by_track: Lists,
     /// Of each entry of `by_track`: the view, and whether it is accepted; what counting pairs reads, in its order.
     sightings: Vec<(u32, bool)>,
     /// Weight `sigma / sigma_rad` of an observation, the median sigma over its own; empty where none are given.
     weight: Vec<f64>,
     median_sigma: f64,
-}
-
-/// Lists of observations one after the other; list `g` is `item[start[g]..start[g + 1]]`.
-pub(super) struct Groups {
-    start: Vec<u32>,
-    item: Vec<u32>,
-}
-
-impl Groups {
-    /// Lists `items` by their group, in the order in which they come.
-    fn new(n_groups: usize, items: impl Iterator<Item = u32> + Clone, group: impl Fn(u32) -> usize) -> Self {
-        let mut start = vec![0u32; n_groups + 1];
-        items.clone().for_each(|o| start[group(o) + 1] += 1);
-        for g in 0..n_groups {
-            start[g + 1] += start[g];
-        }
-        let mut next = start.clone();
-        let mut item = vec![0; start[n_groups] as usize];
-        for o in items {
-            let place = &mut next[group(o)];
-            item[*place as usize] = o;
-            *place += 1;
-        }
-        Self { start, item }
-    }
-
-    /// One list.
-    pub fn of(&self, group: usize) -> &[u32] {
-        &self.item[self.range(group)]
-    }
-
-    fn range(&self, group: usize) -> std::ops::Range<usize> {
-        self.start[group] as usize..self.start[group + 1] as usize
-    }
 }
 
 /// An observation as the scene has it.
@@ -116,9 +83,9 @@ impl<'a, const D: usize> Rays<'a, D> {
             })
             .collect();
         let seen = (0..tracks.len() as u32).filter(|&o| view_component[view[o as usize] as usize] >= 0);
-        let by_track = Groups::new(tracks.n_tracks(), seen, |o| track[o as usize] as usize);
-        let by_view = Groups::new(tracks.n_views(), by_track.item.iter().copied(), |o| view[o as usize] as usize);
-        let sightings = by_track.item.par_iter().map(|&o| (view[o as usize], accepted[o as usize])).collect();
+        let by_track = Lists::new(tracks.n_tracks(), seen.map(|o| (track[o as usize], o)));
+        let by_view = Lists::new(tracks.n_views(), by_track.all().iter().map(|&o| (view[o as usize], o)));
+        let sightings = by_track.all().par_iter().map(|&o| (view[o as usize], accepted[o as usize])).collect();
         let (weight, median_sigma) = weights(tracks.sigma_rad());
         Self {
             tracks,
@@ -196,10 +163,10 @@ impl<'a, const D: usize> Rays<'a, D> {
         // views, then tracks
         let mut sets = Sets::new(n_views + self.tracks.n_tracks());
         for o in (0..self.tracks.len()).filter(|&o| self.accepted[o]) {
-            sets.join(self.tracks.view()[o], n_views as u32 + self.tracks.track()[o]);
+            sets.join(self.tracks.view()[o] as usize, n_views + self.tracks.track()[o] as usize);
         }
         let mut size = vec![0u32; n_views];
-        let root: Vec<usize> = (0..n_views as u32).map(|i| sets.find(i) as usize).collect();
+        let root: Vec<usize> = (0..n_views).map(|i| sets.find(i)).collect();
         root.iter().for_each(|&g| size[g] += 1);
         let mut largest = vec![usize::MAX; self.n_components];
         for i in 0..n_views {

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 use super::complex::wrapped;
 use crate::least_squares::{BlockPattern, BlockSolver, LeastSquaresError, LinearSolver};
+use crate::sets::Sets;
 
 /// `h_to - h_from = turn`.
 #[derive(Debug, Clone, Copy)]
@@ -80,10 +81,10 @@ fn merged(edges: &[Edge]) -> Vec<Pair> {
 fn along_the_tree(n: usize, pairs: &[Pair]) -> Vec<f64> {
     let mut order: Vec<&Pair> = pairs.iter().collect();
     order.sort_by(|a, b| b.votes.cmp(&a.votes).then(a.edge.sigma.total_cmp(&b.edge.sigma)));
-    let mut forest = Forest::new(n);
+    let mut forest = Sets::new(n);
     let mut neighbours: Vec<Vec<(u32, f64)>> = vec![Vec::new(); n];
     for Pair { edge, .. } in order {
-        if forest.join(edge.from, edge.to) {
+        if forest.join(edge.from as usize, edge.to as usize) {
             neighbours[edge.from as usize].push((edge.to, edge.turn));
             neighbours[edge.to as usize].push((edge.from, -edge.turn));
         }
@@ -192,14 +193,14 @@ fn normal_equations(
 
 /// Components of a graph, 0 the largest; -1 for what no edge touches.
 pub(super) fn components<'a>(n: usize, edges: impl Iterator<Item = &'a Edge>) -> Vec<i32> {
-    let mut forest = Forest::new(n);
+    let mut forest = Sets::new(n);
     for edge in edges {
-        forest.join(edge.from, edge.to);
+        forest.join(edge.from as usize, edge.to as usize);
     }
-    let root: Vec<u32> = (0..n as u32).map(|view| forest.root(view)).collect();
+    let root: Vec<usize> = (0..n).map(|view| forest.find(view)).collect();
     let mut size = vec![0usize; n];
     for &r in &root {
-        size[r as usize] += 1;
+        size[r] += 1;
     }
     let mut roots: Vec<usize> = (0..n).filter(|&r| size[r] > 1).collect();
     roots.sort_by_key(|&r| std::cmp::Reverse(size[r]));
@@ -207,28 +208,5 @@ pub(super) fn components<'a>(n: usize, edges: impl Iterator<Item = &'a Edge>) ->
     for (component, &r) in (0..).zip(&roots) {
         label[r] = component;
     }
-    root.iter().map(|&r| label[r as usize]).collect()
-}
-
-struct Forest(Vec<u32>);
-
-impl Forest {
-    fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    fn root(&mut self, mut view: u32) -> u32 {
-        while self.0[view as usize] != view {
-            self.0[view as usize] = self.0[self.0[view as usize] as usize];
-            view = self.0[view as usize];
-        }
-        view
-    }
-
-    /// True where the two were apart.
-    fn join(&mut self, a: u32, b: u32) -> bool {
-        let (a, b) = (self.root(a), self.root(b));
-        self.0[a.max(b) as usize] = a.min(b);
-        a != b
-    }
+    root.iter().map(|&r| label[r]).collect()
 }

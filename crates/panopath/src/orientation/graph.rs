@@ -1,5 +1,7 @@
 //! The graph of views and edges: who neighbours whom, what hangs together, which edges are bridges.
 
+use crate::sets::Sets;
+
 /// One end of an edge, seen from the other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Neighbour {
@@ -63,12 +65,11 @@ impl Graph {
 
     /// The part of each view along the edges that are kept, named by its lowest view.
     pub fn parts(&self, keep: &[bool]) -> Vec<u32> {
-        let mut root: Vec<u32> = (0..self.n_views() as u32).collect();
-        for edge in (0..self.n_edges()).filter(|&e| keep[e]) {
-            let (a, b) = (find(&mut root, self.first[edge]), find(&mut root, self.second[edge]));
-            root[a.max(b) as usize] = a.min(b);
+        let mut sets = Sets::new(self.n_views());
+        for (a, b) in (0..self.n_edges()).filter(|&e| keep[e]).map(|e| self.ends(e)) {
+            sets.join(a, b);
         }
-        (0..self.n_views() as u32).map(|view| find(&mut root, view)).collect()
+        (0..self.n_views()).map(|view| sets.find(view) as u32).collect()
     }
 
     /// Block of each view, named by its lowest view: what no single kept edge can part.
@@ -102,14 +103,6 @@ impl Graph {
         found.sort_unstable();
         found
     }
-}
-
-fn find(root: &mut [u32], mut view: u32) -> u32 {
-    while root[view as usize] != view {
-        root[view as usize] = root[root[view as usize] as usize];
-        view = root[view as usize];
-    }
-    view
 }
 
 /// What no single edge can part (two-edge-connected blocks), and the bridges between: a forest.

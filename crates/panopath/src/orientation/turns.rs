@@ -5,7 +5,7 @@
 //! linear equations of an edge are `w_second - w_first`, without rotations in them; that makes the system a graph
 //! Laplacian.
 
-use crate::geometry::{Rotation, Vector, dot, norm, scale};
+use crate::geometry::{Rotation, Vector, dot, inverse_left_jacobian, norm, scale};
 
 /// An element of a rotation group with `K` freedoms.
 pub(super) trait Turn<const K: usize>: Copy + Send + Sync {
@@ -297,10 +297,10 @@ fn mean_heading_error(known: &[(Quaternion, SpatialPrior)], level: &Quaternion) 
 }
 
 /// `phi = log(prior R^-1)` in the camera, of cost `phi^T information phi`; the small rotation `R w` changes it by
-/// `-B R w` with `B` the inverse right Jacobian of the exponential at `phi`.
+/// `-B R w` with `B` the inverse right Jacobian of the exponential at `phi`, which is the left one at `-phi`.
 fn pull_of_orientation(now: &Quaternion, prior: &Quaternion, information: &[Vector<3>; 3]) -> Pull<3> {
     let phi = prior.compose(&now.inverse()).log();
-    let jacobian = matmul(&inverse_right_jacobian(&phi), now.rotation().matrix());
+    let jacobian = matmul(&inverse_left_jacobian(&scale(-1.0, &phi)), now.rotation().matrix());
     let weighted = matmul(information, &jacobian);
     let transposed = Rotation::trusted(jacobian).inverse();
     let force = transposed.apply(&crate::geometry::apply(information, &phi));
@@ -309,19 +309,4 @@ fn pull_of_orientation(now: &Quaternion, prior: &Quaternion, information: &[Vect
 
 fn matmul(a: &[Vector<3>; 3], b: &[Vector<3>; 3]) -> [Vector<3>; 3] {
     *Rotation::trusted(*a).compose(&Rotation::trusted(*b)).matrix()
-}
-
-/// `I + [phi] / 2 + (1 - h cot h) [phi]^2 / angle^2` with `h` half the angle.
-fn inverse_right_jacobian(phi: &Vector<3>) -> [Vector<3>; 3] {
-    let squared = dot(phi, phi);
-    let half = 0.5 * squared.sqrt();
-    let c = if half < 1e-3 { 1.0 / 12.0 + squared / 720.0 } else { (1.0 - half / half.tan()) / squared };
-    let [x, y, z] = *phi;
-    let cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]];
-    std::array::from_fn(|r| {
-        std::array::from_fn(|k| {
-            let square = phi[r] * phi[k] - if r == k { squared } else { 0.0 };
-            f64::from(u8::from(r == k)) + 0.5 * cross[r][k] + c * square
-        })
-    })
 }

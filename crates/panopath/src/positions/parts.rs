@@ -12,6 +12,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::geometry::{Vector, dot, normalized, sub, tangent_basis};
+use crate::lists::Lists;
 
 /// Rays nearer to parallel than this (or to antiparallel) fix no distance, in radians.
 pub(super) const PARALLEL_RAD: f64 = 1e-7;
@@ -38,36 +39,6 @@ pub(super) struct Parts {
     pub views: Vec<Vec<u32>>,
     /// Tracks of each part in ascending order.
     pub tracks: Vec<Vec<u32>>,
-}
-
-/// Compressed lists: the observations of each node.
-struct Lists {
-    start: Vec<u32>,
-    item: Vec<u32>,
-}
-
-impl Lists {
-    fn new(n: usize, of: &[u32], keep: impl Fn(usize) -> bool) -> Self {
-        let mut start = vec![0u32; n + 1];
-        for o in (0..of.len()).filter(|&o| keep(o)) {
-            start[of[o] as usize + 1] += 1;
-        }
-        for v in 0..n {
-            start[v + 1] += start[v];
-        }
-        let mut next = start.clone();
-        let mut item = vec![0u32; start[n] as usize];
-        for o in (0..of.len()).filter(|&o| keep(o)) {
-            let slot = &mut next[of[o] as usize];
-            item[*slot as usize] = o as u32;
-            *slot += 1;
-        }
-        Self { start, item }
-    }
-
-    fn of(&self, node: usize) -> &[u32] {
-        &self.item[self.start[node] as usize..self.start[node + 1] as usize]
-    }
 }
 
 /// Squared sine of the angle between two unit vectors.
@@ -159,11 +130,13 @@ struct Growth {
 
 impl<'a, const D: usize> Search<'a, D> {
     fn new(seen: &'a Sightings<'a, D>, keep: impl Fn(usize) -> bool) -> Self {
+        let kept = (0..seen.view.len()).filter(|&o| keep(o));
+        let at = |of: &[u32], n: usize| Lists::new(n, kept.clone().map(|o| (of[o], o as u32)));
         Self {
             seen,
             parallel_rad: seen.parallel_rad,
-            by_view: Lists::new(seen.n_views, seen.view, &keep),
-            by_track: Lists::new(seen.n_tracks, seen.track, &keep),
+            by_view: at(seen.view, seen.n_views),
+            by_track: at(seen.track, seen.n_tracks),
         }
     }
 

@@ -15,7 +15,7 @@ use super::poses::Poses;
 use crate::bundle::newton::{huber_cost, huber_weight};
 use crate::bundle::reduced::CameraTerm;
 use crate::bundle::turns::turns;
-use crate::geometry::{Matrix, Rotation, Similarity, Vector, dot, norm, sub};
+use crate::geometry::{Matrix, Rotation, Similarity, Vector, dot, inverse_left_jacobian, norm, sub};
 use crate::least_squares::inverse_of_positive;
 
 /// Error, its derivative by the unknowns of the camera, and the information: of at most three rows.
@@ -194,22 +194,6 @@ fn turn_derivative<const D: usize, const V: usize>(rho: &[f64; 3], cam_from_worl
         }
     }
     derivative
-}
-
-/// `J_l(rho)^-1 = I - [rho]_x / 2 + (1 - (a/2) cot(a/2)) / a^2 [rho]_x^2`, `a = |rho|` (Barfoot, State Estimation for
-/// Robotics, 2017, eq. 7.77).
-fn inverse_left_jacobian(rho: &[f64; 3]) -> Matrix<3> {
-    let squared = dot(rho, rho);
-    let half = 0.5 * squared.sqrt();
-    let factor = if squared < 1e-4 { 1.0 / 12.0 + squared / 720.0 } else { (1.0 - half / half.tan()) / squared };
-    let [x, y, z] = *rho;
-    let cross = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]];
-    std::array::from_fn(|r| {
-        std::array::from_fn(|c| {
-            let square: f64 = (0..3).map(|k| cross[r][k] * cross[k][c]).sum();
-            f64::from(r == c) - 0.5 * cross[r][c] + factor * square
-        })
-    })
 }
 
 fn padded<const D: usize>(x: &Vector<D>) -> [f64; 3] {

@@ -4,7 +4,8 @@
 //! is left is as determined as before, and the member keeps `unknowns - rows` freedoms of its own. Leaving out goes on
 //! until no such member is left.
 
-use super::{Sightings, squared_distance};
+use super::Sightings;
+use crate::lists::Lists;
 
 /// What was left out, and what stays.
 pub(super) struct Ends {
@@ -14,40 +15,11 @@ pub(super) struct Ends {
     pub freedoms: usize,
 }
 
-struct Lists {
-    start: Vec<u32>,
-    item: Vec<u32>,
-}
-
-impl Lists {
-    fn new(n: usize, of: &[u32], observations: &[u32]) -> Self {
-        let mut start = vec![0u32; n + 1];
-        for &o in observations {
-            start[of[o as usize] as usize + 1] += 1;
-        }
-        for v in 0..n {
-            start[v + 1] += start[v];
-        }
-        let mut next = start.clone();
-        let mut item = vec![0u32; observations.len()];
-        for &o in observations {
-            let slot = &mut next[of[o as usize] as usize];
-            item[*slot as usize] = o;
-            *slot += 1;
-        }
-        Self { start, item }
-    }
-
-    fn of(&self, node: usize) -> &[u32] {
-        &self.item[self.start[node] as usize..self.start[node + 1] as usize]
-    }
-}
-
 /// Leaves loose ends out. `unknowns` are those of a view; every pair of a view and a track stands once in `observations`.
 pub(super) fn without_ends<const D: usize>(scene: &Sightings<'_, D>, observations: &[u32], unknowns: usize) -> Ends {
     let (n_views, n_tracks) = (scene.centers.len(), scene.points.len());
-    let by_view = Lists::new(n_views, scene.view, observations);
-    let by_track = Lists::new(n_tracks, scene.track, observations);
+    let at = |of: &[u32], n: usize| Lists::new(n, observations.iter().map(|&o| (of[o as usize], o)));
+    let (by_view, by_track) = (at(scene.view, n_views), at(scene.track, n_tracks));
     let mut is_gone = vec![false; scene.view.len()];
     let mut left: Vec<bool> = vec![false; n_views + n_tracks];
     let of = |node: usize| if node < n_views { by_view.of(node) } else { by_track.of(node - n_views) };
@@ -83,7 +55,7 @@ fn is_end<const D: usize>(scene: &Sightings<'_, D>, is_view: bool, alive: &[u32]
         // two rows of directions each, and a turn that both would have to share
         [a, b] if is_view && unknowns > D && 2 * (D - 1) < unknowns => {
             let point = |o: u32| &scene.points[scene.track[o as usize] as usize];
-            squared_distance(point(*a), point(*b)) > 0.0
+            point(*a) != point(*b)
         }
         _ => false,
     }

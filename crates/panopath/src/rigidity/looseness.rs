@@ -10,8 +10,7 @@ use crate::bundle::estimate::Estimate;
 use crate::bundle::newton::NewtonWeights;
 use crate::bundle::noise::median;
 use crate::bundle::part::{Lanes, Layout};
-use crate::bundle::reduced::{Factorised, PointSum, Row, Weighing};
-use crate::bundle::system::CameraSystem;
+use crate::bundle::reduced::{PointSum, Weighing};
 use crate::least_squares::{LeastSquaresError, SelectedInverse, inner};
 
 /// A point is far where the spread of its views, or their range of sight, is less than this share of its distance.
@@ -32,26 +31,19 @@ const NEIGHBOURS: usize = 48;
 /// the points that it sees, where points are fewer and stay in the system.
 pub(super) fn of_views<const D: usize, const W: usize, M: Mobility<D, W>>(
     analysis: &Analysis<'_, D, W, M>,
-    scale_is_free: bool,
 ) -> Result<Vec<f64>, LeastSquaresError> {
     let frame = analysis.frame;
     let n = frame.views.len();
     let mut held = analysis.pinned();
-    if scale_is_free {
-        let farthest = farthest_coordinate::<D, W>(frame, &held);
-        held[farthest] = true;
-    }
-    let nothing = vec![f64::INFINITY; n];
-    let system = match analysis.assemble(0.0, &held) {
-        Err(LeastSquaresError::Singular { .. }) => return Ok(nothing),
-        other => other?,
-    };
+    let farthest = farthest_coordinate::<D, W>(frame, &held);
+    held[farthest] = true;
+    let system = analysis.assemble(0.0, &held)?;
     let (pattern, values) = system.matrix();
     let inverse = match SelectedInverse::<W>::new(pattern, values) {
-        Err(LeastSquaresError::Singular { .. }) => return Ok(nothing),
+        Err(LeastSquaresError::Singular { .. }) => return Ok(vec![f64::INFINITY; n]),
         other => other?,
     };
-    let growth = if scale_is_free { Some(Growth::of(frame, &system)?) } else { None };
+    let growth = Growth::of(frame, &inverse, &held, pattern.n_nodes())?;
     let members = Members { frame, inverse: &inverse, held: &held, growth, keeps_points: pattern.n_nodes() > n };
     let neighbours = members.neighbours();
     let looseness = |&a: &usize| {
@@ -70,7 +62,7 @@ struct Members<'a, const D: usize, const W: usize> {
     frame: &'a Frame<D>,
     inverse: &'a SelectedInverse<W>,
     held: &'a [bool],
-    growth: Option<Growth>,
+    growth: Growth,
     keeps_points: bool,
 }
 
@@ -82,14 +74,19 @@ struct Growth {
 }
 
 impl Growth {
-    fn of<const D: usize, const W: usize, R: Row>(
+    fn of<const D: usize, const W: usize>(
         frame: &Frame<D>,
-        system: &CameraSystem<D, W, R>,
+        inverse: &SelectedInverse<W>,
+        held: &[bool],
+        n_nodes: usize,
     ) -> Result<Self, LeastSquaresError> {
         let arms = Self::arms::<D, W>(frame);
         let mut with = arms.clone();
-        clear_held(system.held(), &mut with);
-        system.solve_for(&mut with)?;
+        clear_held(held, &mut with);
+        // points that are kept in the system pull at nothing
+        with.resize(n_nodes * W, 0.0);
+        inverse.solve(&mut with, 1)?;
+        with.truncate(arms.len());
         let variance = inner(&arms, &with);
         let of_views = with.as_chunks::<W>().0.iter();
         let of_views = of_views.map(|x| Lanes::from_vector::<D>(&std::array::from_fn(|c| x[W - D + c])));
@@ -175,10 +172,8 @@ impl<const D: usize, const W: usize> Members<'_, D, W> {
         let apart = self.position(a).minus(self.position(b));
         let grown = |axis: usize| {
             // with the size of all views held instead of one coordinate
-            self.growth.as_ref().map_or(0.0, |growth| {
-                let with = growth.with[a].minus(&growth.with[b]).0[axis];
-                apart.0[axis] * (apart.0[axis] * growth.variance - 2.0 * with)
-            })
+            let with = self.growth.with[a].minus(&self.growth.with[b]).0[axis];
+            apart.0[axis] * (apart.0[axis] * self.growth.variance - 2.0 * with)
         };
         let along = |axis| Some(entry(a, a, axis)? + entry(b, b, axis)? - 2.0 * entry(a, b, axis)? + grown(axis));
         (0..D).map(|axis| along(axis).unwrap_or(f64::INFINITY)).sum()

@@ -23,7 +23,9 @@ mod stretch;
 
 use crate::bundle::determinacy::{GaugeBasis, Motions};
 use crate::bundle::noise::{OUTLIER_SIGMAS, SIGMA_FLOOR_RAD, precisions};
-use crate::geometry::Vector;
+use crate::geometry::{Vector, norm, normalized, scale, sub};
+use crate::least_squares::symmetric_eigen;
+use crate::sets::Sets;
 use crate::structure::Structure;
 use crate::tracks::Tracks;
 
@@ -38,7 +40,7 @@ use spectrum::{Analysis, Mobility, Mode, Shifting, Turning};
 use stretch::{BodyMotion, Motion, PARALLEL};
 
 /// Positions, and who saw whom.
-pub struct Sightings<'a, const D: usize> {
+struct Sightings<'a, const D: usize> {
     /// Of all views.
     pub centers: &'a [Vector<D>],
     /// Of all tracks.
@@ -289,10 +291,6 @@ fn observations_that_count<const D: usize>(tracks: &Tracks<D>, scene: &Structure
     counts
 }
 
-fn squared_distance<const D: usize>(a: &Vector<D>, b: &Vector<D>) -> f64 {
-    (0..D).map(|c| (a[c] - b[c]).powi(2)).sum()
-}
-
 /// A component with a weak mode, and who moves in it.
 struct Weakened {
     component: usize,
@@ -304,23 +302,17 @@ impl Weakened {
     /// Members that move by a good share of what the fastest view does; all where most do.
     fn by<const D: usize>(component: usize, frame: &Frame<D>, motion: &Motion<D>) -> Self {
         const GOOD_SHARE: f64 = 0.3;
-        let speeds = |moved: &[Vector<D>]| -> Vec<f64> { moved.iter().map(crate::geometry::norm).collect() };
-        let (views, points) = (speeds(&motion.views), speeds(&motion.points));
-        let limit = GOOD_SHARE * views.iter().copied().fold(0.0, f64::max);
-        let moving = |speed: &[f64], ids: &[u32]| -> Vec<u32> {
-            let mut moving: Vec<u32> = ids.iter().zip(speed).filter(|(_, s)| **s >= limit).map(|(id, _)| *id).collect();
+        let fastest = motion.views.iter().map(norm).fold(0.0, f64::max);
+        let moves = |moved: &Vector<D>| norm(moved) >= GOOD_SHARE * fastest;
+        let most = 2 * motion.views.iter().filter(|dx| moves(dx)).count() > frame.views.len();
+        let moving = |moved: &[Vector<D>], ids: &[u32]| -> Vec<u32> {
+            let mut moving: Vec<u32> =
+                ids.iter().zip(moved).filter(|(_, dx)| most || moves(dx)).map(|(id, _)| *id).collect();
             moving.sort_unstable();
             moving
         };
-        let found = moving(&views, &frame.views);
-        let all = 2 * found.len() > frame.views.len();
-        let tracks = moving(&points, &frame.part.input_track);
-        if all {
-            let mut tracks = frame.part.input_track.clone();
-            tracks.sort_unstable();
-            return Self { component, views: frame.views.clone(), tracks };
-        }
-        Self { component, views: found, tracks }
+        let (views, tracks) = (moving(&motion.views, &frame.views), moving(&motion.points, &frame.part.input_track));
+        Self { component, views, tracks }
     }
 }
 
@@ -411,10 +403,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         }
         for &o in observations.iter().filter(|&&o| !inside[o as usize]) {
             let (view, track) = (self.scene.view[o as usize] as usize, self.scene.track[o as usize] as usize);
-            let ray = crate::geometry::normalized(&crate::geometry::sub(
-                &self.scene.points[track],
-                &self.scene.centers[view],
-            ));
+            let ray = normalized(&sub(&self.scene.points[track], &self.scene.centers[view]));
             if rays[n_views + track] == 1 {
                 self.track_line[track] = ray;
                 self.track_looseness[track] = f64::INFINITY;
@@ -546,8 +535,8 @@ impl<'a, const D: usize> Inquiry<'a, D> {
                     || (W > D && movement > FOLLOWED_MOVEMENT && gets_weaker(analysis, modes, k, movement)?));
             if movement > self.weak_movement || near_null {
                 verdict = verdict.max(Verdict::Weak);
-                self.report(frame, mode, movement, component, Motion::of::<W>(frame, &mode.step));
                 let mut motion = Motion::of::<W>(frame, &mode.step);
+                self.report(frame, mode, movement, component, &motion);
                 motion.settle(frame);
                 self.weakened.push(Weakened::by(component, frame, &motion));
             }
@@ -555,7 +544,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
         let views = if verdict == Verdict::Undetermined {
             vec![f64::INFINITY; frame.views.len()]
         } else {
-            looseness::of_views(analysis, true)?
+            looseness::of_views(analysis)?
         };
         let mut loose_views = 0;
         for (&view, looseness) in frame.views.iter().zip(views) {
@@ -606,7 +595,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
                 add_outer(sum, dx);
             }
             let component = largest.map_or(0, |k| found[k]);
-            self.report(frame, mode, f64::INFINITY, component, motion);
+            self.report(frame, mode, f64::INFINITY, component, &motion);
         }
         for (node, _) in alone.0.iter().enumerate().filter(|(_, alone)| **alone) {
             self.view_line[frame.views[node] as usize] = principal(&scatter_of_views[node]);
@@ -617,7 +606,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
     }
 
     /// Writes a mode out in the unit of the scene.
-    fn report(&mut self, frame: &Frame<D>, mode: &Mode, movement: f64, component: usize, motion: Motion<D>) {
+    fn report(&mut self, frame: &Frame<D>, mode: &Mode, movement: f64, component: usize, motion: &Motion<D>) {
         if self.modes.len() >= MOST_REPORTED {
             return;
         }
@@ -632,7 +621,7 @@ impl<'a, const D: usize> Inquiry<'a, D> {
             points: vec![[0.0; D]; self.scene.points.len()],
             turns: vec![[0.0; 3]; self.scene.centers.len()],
         };
-        let scaled = |dx: &Vector<D>| crate::geometry::scale(amplitude * frame.size, dx);
+        let scaled = |dx: &Vector<D>| scale(amplitude * frame.size, dx);
         for ((&view, dx), turn) in frame.views.iter().zip(&motion.views).zip(&motion.turns) {
             written.views[view as usize] = scaled(dx);
             written.turns[view as usize] = turn.map(|x| x * amplitude);
@@ -805,7 +794,7 @@ fn add_outer<const D: usize>(sum: &mut [[f64; D]; D], x: &Vector<D>) {
 
 /// The direction of most scatter; NaN of none.
 fn principal<const D: usize>(scatter: &[[f64; D]; D]) -> Vector<D> {
-    match crate::least_squares::symmetric_eigen(scatter) {
+    match symmetric_eigen(scatter) {
         Ok((values, vectors)) if values[D - 1] > 0.0 => vectors[D - 1],
         _ => [f64::NAN; D],
     }
@@ -814,22 +803,13 @@ fn principal<const D: usize>(scatter: &[[f64; D]; D]) -> Vector<D> {
 /// Connected sets of observations.
 fn connected<const D: usize>(scene: &Sightings<'_, D>, observations: &[u32]) -> Vec<Vec<u32>> {
     let n_views = scene.centers.len();
-    let mut parent: Vec<u32> = (0..(n_views + scene.points.len()) as u32).collect();
-    fn root(parent: &mut [u32], mut a: usize) -> usize {
-        while parent[a] as usize != a {
-            parent[a] = parent[parent[a] as usize];
-            a = parent[a] as usize;
-        }
-        a
-    }
+    let mut sets = Sets::new(n_views + scene.points.len());
     for &o in observations {
-        let a = root(&mut parent, scene.view[o as usize] as usize);
-        let b = root(&mut parent, n_views + scene.track[o as usize] as usize);
-        parent[a.max(b)] = a.min(b) as u32;
+        sets.join(scene.view[o as usize] as usize, n_views + scene.track[o as usize] as usize);
     }
     let mut pieces: std::collections::BTreeMap<usize, Vec<u32>> = std::collections::BTreeMap::new();
     for &o in observations {
-        pieces.entry(root(&mut parent, scene.view[o as usize] as usize)).or_default().push(o);
+        pieces.entry(sets.find(scene.view[o as usize] as usize)).or_default().push(o);
     }
     pieces.into_values().collect()
 }

@@ -101,18 +101,7 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         if beyond <= FIRST_MODES || (present <= COMPLETE_UNKNOWNS && work <= COMPLETE_WORK) {
             return self.ritz(self.all_displacements(), &[]);
         }
-        let mut system = None;
-        for guard in GUARDS {
-            match self.assemble(GUARD * guard, &self.pinned()) {
-                Err(LeastSquaresError::Singular { .. }) => {}
-                Err(other) => return Err(other),
-                Ok(made) => {
-                    system = Some(made);
-                    break;
-                }
-            }
-        }
-        let Some(system) = system else { return Err(LeastSquaresError::Singular { pivot: 0 }) };
+        let system = self.factorised()?;
         let (mut modes, mut count) = (Vec::new(), FIRST_MODES);
         loop {
             let found = self.weakest(&system, &modes, count.min(beyond - modes.len()))?;
@@ -123,6 +112,20 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
             }
             count = (4 * count).min(MOST_AT_ONCE);
         }
+    }
+
+    /// The system of the frame with the lightest guard that makes it regular.
+    fn factorised(&self) -> Result<CameraSystem<D, W, M::Row>, LeastSquaresError> {
+        let mut ended = LeastSquaresError::Singular { pivot: 0 };
+        for guard in GUARDS {
+            let mut system = self.assemble(GUARD * guard, &self.pinned())?;
+            match system.factorise() {
+                Ok(()) => return Ok(system),
+                Err(singular @ LeastSquaresError::Singular { .. }) => ended = singular,
+                Err(other) => return Err(other),
+            }
+        }
+        Err(ended)
     }
 
     /// The weakest modes beyond the gauge and beyond those that are known to be null.
@@ -165,14 +168,13 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
         (0..self.frame.views.len() * W).map(held).collect()
     }
 
-    /// The information of all cameras in units of `1/sigma^2`, factorised, with some unknowns held.
+    /// The information of all cameras in units of `1/sigma^2`, with some unknowns held.
     pub fn assemble(&self, guard: f64, held: &[bool]) -> Result<CameraSystem<D, W, M::Row>, LeastSquaresError> {
         let Frame { part, estimate, keep, .. } = self.frame;
         let mut system = CameraSystem::analyse(part, LinearSolver::Direct, held.to_vec())?;
         let weights = NewtonWeights::new(part, estimate, keep, f64::INFINITY);
         let damping = Damping { point: guard, view: guard };
         system.assemble(part, &weights, &M::freedoms(self.frame), &[], damping);
-        system.factorise()?;
         Ok(system)
     }
 
@@ -216,18 +218,16 @@ impl<'a, const D: usize, const W: usize, M: Mobility<D, W>> Analysis<'a, D, W, M
     fn ritz(&self, basis: Vec<Vec<f64>>, known: &[Mode]) -> Result<Vec<Mode>, LeastSquaresError> {
         let n = self.frame.views.len() as f64;
         let scale = (self.frame.part.n_observations() as f64 / n).sqrt();
-        let (values, vectors) = self.combined(&basis)?;
+        let (mut values, mut vectors) = self.combined(&basis)?;
         // what is low among what is high is known to rounding errors of the high
         let low = values.iter().take_while(|&&v| v < LOW * scale).count();
-        let (mut values, mut vectors) = (values, vectors);
         if low > 0 && low < values.len() {
             let rest = vectors.split_off(low);
             let (low_values, low_vectors) = self.combined(&orthonormal(vectors, self.gauge, known))?;
-            let kept = low_vectors.len();
+            debug_assert_eq!(low_vectors.len(), low);
             vectors = low_vectors;
             vectors.extend(rest);
             values.splice(..low, low_values);
-            debug_assert_eq!(kept, low);
         }
         let mode = |(value, vector): (f64, Vec<f64>)| Mode {
             step: vector.into_iter().map(|x| x * n.sqrt()).collect(),

@@ -12,6 +12,7 @@ use crate::bundle::determinacy::across;
 use crate::bundle::noise::median;
 use crate::bundle::part::Lanes;
 use crate::geometry::{Vector, add, dot, norm, scale, sub};
+use crate::sets::Sets;
 
 /// Combinations of null vectors that stand for all of them: rates that differ in one differ in a random combination.
 const COMBINATIONS: usize = 6;
@@ -50,14 +51,16 @@ pub(super) fn components<const D: usize, const W: usize>(
     // a point at infinity goes with its views, where these all go together
     for j in infinite {
         let homes = part.observations(j).map(|o| of_view[part.view[o] as usize].first().copied());
-        let mut roots: Vec<Option<usize>> = homes.map(|home| home.map(|o| sets.root(o))).collect();
+        let mut roots: Vec<Option<usize>> = homes.map(|home| home.map(|o| sets.find(o))).collect();
         roots.dedup();
         if let [Some(home)] = roots[..] {
-            part.observations(j).for_each(|o| sets.join(home, o));
+            for o in part.observations(j) {
+                sets.join(home, o);
+            }
         }
     }
     slides.iter().for_each(|&j| join_at_one_place(frame, &rates, j, &mut sets));
-    sets.labels()
+    labels(part.n_observations(), &mut sets)
 }
 
 /// A few null vectors that tell apart what all of them do.
@@ -132,7 +135,9 @@ fn join_equal(rates: &Rates, observations: impl Iterator<Item = usize>, sets: &m
     let mut kinds: Vec<usize> = Vec::new();
     for o in observations {
         match kinds.iter().find(|&&kind| rates.equal(kind, o)) {
-            Some(&kind) => sets.join(kind, o),
+            Some(&kind) => {
+                sets.join(kind, o);
+            }
             None => kinds.push(o),
         }
     }
@@ -156,7 +161,7 @@ fn join_at_one_place<const D: usize>(frame: &Frame<D>, rates: &Rates, j: usize, 
 
 /// Joins sets that move alike though they share no member.
 fn join_bodies(rates: &Rates, sets: &mut Sets) {
-    let mut bodies = sets.roots_of_many();
+    let mut bodies = roots_of_many(rates.tolerance.len(), sets);
     // what moves alike has equal numbers, the first of them too: candidates are neighbours in their order
     let key = |o: usize| rates.rate.get(o * rates.each).copied().unwrap_or(0.0);
     bodies.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
@@ -170,48 +175,20 @@ fn join_bodies(rates: &Rates, sets: &mut Sets) {
     }
 }
 
-/// Disjoint sets, the smallest member of each its root.
-struct Sets {
-    parent: Vec<u32>,
+/// The sets that observations are in: numbers from 0 for sets of two and more, -1 for single ones.
+fn labels(n: usize, sets: &mut Sets) -> Vec<i32> {
+    let mut number = vec![-1; n];
+    for (next, root) in roots_of_many(n, sets).into_iter().enumerate() {
+        number[root] = next as i32;
+    }
+    (0..n).map(|o| number[sets.find(o)]).collect()
 }
 
-impl Sets {
-    fn new(n: usize) -> Self {
-        Self { parent: (0..n as u32).collect() }
-    }
-
-    fn root(&mut self, mut a: usize) -> usize {
-        while self.parent[a] as usize != a {
-            self.parent[a] = self.parent[self.parent[a] as usize];
-            a = self.parent[a] as usize;
-        }
-        a
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.parent[a.max(b)] = a.min(b) as u32;
-    }
-
-    /// Roots of the sets of two and more.
-    fn roots_of_many(&mut self) -> Vec<usize> {
-        let n = self.parent.len();
-        let mut count = vec![0u32; n];
-        for o in 0..n {
-            let root = self.root(o);
-            count[root] += 1;
-        }
-        (0..n).filter(|&root| count[root] > 1).collect()
-    }
-
-    /// Numbers from 0 for sets of two and more, -1 for single ones.
-    fn labels(mut self) -> Vec<i32> {
-        let mut number = vec![-1; self.parent.len()];
-        for (next, root) in self.roots_of_many().into_iter().enumerate() {
-            number[root] = next as i32;
-        }
-        (0..number.len()).map(|o| number[self.root(o)]).collect()
-    }
+/// Roots of the sets of two and more.
+fn roots_of_many(n: usize, sets: &mut Sets) -> Vec<usize> {
+    let mut count = vec![0u32; n];
+    (0..n).for_each(|o| count[sets.find(o)] += 1);
+    (0..n).filter(|&root| count[root] > 1).collect()
 }
 
 /// How a body moves in a mode: `dx = shift + growth (x - centroid) + turn x (x - centroid)`.

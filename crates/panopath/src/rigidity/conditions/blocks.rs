@@ -2,7 +2,8 @@
 //!
 //! Two blocks have at most one node in common. A block of one edge is a bridge.
 
-use super::graph::{Edge, Lists};
+use super::graph::Edge;
+use crate::lists::Lists;
 
 /// The edges of each block. Edges between the same two nodes are told apart; edges that `at` does not list are in none.
 pub(super) fn blocks(n_nodes: usize, edges: &[Edge], at: &Lists) -> Vec<Vec<usize>> {

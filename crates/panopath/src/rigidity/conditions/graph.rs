@@ -2,43 +2,15 @@
 
 use super::Sightings;
 use crate::geometry::Vector;
+use crate::lists::Lists;
 
 /// An edge between two nodes.
 pub(super) type Edge = (u32, u32);
 
-/// Lists of the edges at each node.
-pub(super) struct Lists {
-    start: Vec<u32>,
-    item: Vec<u32>,
-}
-
-impl Lists {
-    /// Lists the edges for which `keep` holds.
-    pub(super) fn new(n_nodes: usize, edges: &[Edge], keep: impl Fn(usize) -> bool) -> Self {
-        let mut start = vec![0u32; n_nodes + 1];
-        let kept = || (0..edges.len()).filter(|&e| keep(e));
-        for e in kept() {
-            start[edges[e].0 as usize + 1] += 1;
-            start[edges[e].1 as usize + 1] += 1;
-        }
-        for node in 0..n_nodes {
-            start[node + 1] += start[node];
-        }
-        let mut next = start.clone();
-        let mut item = vec![0u32; start[n_nodes] as usize];
-        for e in kept() {
-            for node in [edges[e].0, edges[e].1] {
-                let slot = &mut next[node as usize];
-                item[*slot as usize] = e as u32;
-                *slot += 1;
-            }
-        }
-        Self { start, item }
-    }
-
-    pub(super) fn of(&self, node: usize) -> &[u32] {
-        &self.item[self.start[node] as usize..self.start[node + 1] as usize]
-    }
+/// Lists the edges for which `keep` holds at each of their nodes.
+pub(super) fn edges_at(n_nodes: usize, edges: &[Edge], keep: impl Fn(usize) -> bool + Copy) -> Lists {
+    let kept = (0..edges.len()).filter(move |&e| keep(e));
+    Lists::new(n_nodes, kept.flat_map(|e| [(edges[e].0, e as u32), (edges[e].1, e as u32)]))
 }
 
 /// Sightings that count, as a graph.
@@ -61,7 +33,7 @@ impl<'a, const D: usize> Graph<'a, D> {
         let edges: Vec<Edge> =
             scene.view.iter().zip(scene.track).map(|(&view, &track)| (view, n_views as u32 + track)).collect();
         let with_length = |e: usize| scene.centers[scene.view[e] as usize] != scene.points[scene.track[e] as usize];
-        let all = Lists::new(n_nodes, &edges, with_length);
+        let all = edges_at(n_nodes, &edges, with_length);
         let mut counts = vec![false; edges.len()];
         let mut last_view = vec![u32::MAX; scene.points.len()];
         for view in 0..n_views {
@@ -71,7 +43,7 @@ impl<'a, const D: usize> Graph<'a, D> {
                 last_view[track] = view as u32;
             }
         }
-        let at = Lists::new(n_nodes, &edges, |e| counts[e]);
+        let at = edges_at(n_nodes, &edges, |e| counts[e]);
         Self { scene: *scene, n_views, n_nodes, edges, at, counts }
     }
 
@@ -96,32 +68,6 @@ impl<'a, const D: usize> Graph<'a, D> {
         let views = nodes.partition_point(|&node| node < self.n_views);
         let tracks = nodes[views..].iter().map(|&node| (node - self.n_views) as u32).collect();
         (nodes[..views].iter().map(|&node| node as u32).collect(), tracks)
-    }
-}
-
-/// Disjoint sets, each known by its smallest member.
-pub(super) struct Sets {
-    parent: Vec<u32>,
-}
-
-impl Sets {
-    pub(super) fn new(n: usize) -> Self {
-        Self { parent: (0..n as u32).collect() }
-    }
-
-    pub(super) fn find(&mut self, x: usize) -> usize {
-        let mut root = x as u32;
-        while self.parent[root as usize] != root {
-            // halves the path on the way
-            self.parent[root as usize] = self.parent[self.parent[root as usize] as usize];
-            root = self.parent[root as usize];
-        }
-        root as usize
-    }
-
-    pub(super) fn unite(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.find(a), self.find(b));
-        self.parent[a.max(b)] = a.min(b) as u32;
     }
 }
 

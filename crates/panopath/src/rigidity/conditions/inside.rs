@@ -3,11 +3,12 @@
 //! A *body* is a rigid component with observations in the block. A *cluster* is a set of observations of no body that hang
 //! together through members of no body.
 
-use super::graph::{Sets, grouped};
+use super::graph::grouped;
 use super::joins::{Join, Link, joins};
 use super::loose::Loose;
 use super::naming::Naming;
 use super::{Cause, CauseKind, count_of};
+use crate::sets::Sets;
 
 /// More shared members than this are counted, not named.
 const MOST_NAMES: usize = 4;
@@ -60,7 +61,7 @@ impl<'a, const D: usize> Inside<'a, D> {
         let mut sets = Sets::new(nodes.len() + alone.len());
         for (k, &e) in alone.iter().enumerate() {
             for slot in ends(e).into_iter().filter_map(slot).filter(|&slot| free[slot]) {
-                sets.unite(slot, nodes.len() + k);
+                sets.join(slot, nodes.len() + k);
             }
         }
         let groups = grouped(0..alone.len(), |k| sets.find(nodes.len() + k));

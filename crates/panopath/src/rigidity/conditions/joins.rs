@@ -1,7 +1,8 @@
 //! How much rigid bodies hold each other: freedoms, constraints, and which of them hang together.
 
 use super::blocks::blocks;
-use super::graph::{Edge, Lists, Sets, grouped};
+use super::graph::{Edge, edges_at, grouped};
+use crate::sets::Sets;
 
 /// Freedoms that a model counts.
 #[derive(Clone, Copy)]
@@ -68,9 +69,9 @@ pub(super) fn joins(n_bodies: usize, links: &[Link]) -> Vec<Join> {
         .collect();
     let n_nodes = n_bodies + links.len();
     let mut together = Sets::new(links.len());
-    for block in blocks(n_nodes, &edges, &Lists::new(n_nodes, &edges, |_| true)) {
+    for block in blocks(n_nodes, &edges, &edges_at(n_nodes, &edges, |_| true)) {
         for pair in block.windows(2) {
-            together.unite(edges[pair[0]].1 as usize - n_bodies, edges[pair[1]].1 as usize - n_bodies);
+            together.join(edges[pair[0]].1 as usize - n_bodies, edges[pair[1]].1 as usize - n_bodies);
         }
     }
     let groups = grouped(0..links.len(), |k| together.find(k));

@@ -5,12 +5,13 @@
 
 use super::arrangement::Arrangement;
 use super::blocks::blocks;
-use super::graph::{Graph, Lists, Sets, grouped};
+use super::graph::{Graph, edges_at, grouped};
 use super::inside::Inside;
 use super::joins::Freedoms;
 use super::loose::Loose;
 use super::{Cause, CauseKind, Flexibility, Sightings, count_of};
 use crate::geometry::{Vector, norm, sub};
+use crate::sets::Sets;
 
 /// More causes of one kind than this are told as one.
 const MOST_OF_A_KIND: usize = 32;
@@ -123,7 +124,7 @@ impl<'a, const D: usize> Naming<'a, D> {
         let mut sets = Sets::new(n);
         for (e, &(view, track)) in self.graph.edges.iter().enumerate() {
             if self.graph.counts[e] {
-                sets.unite(view as usize, track as usize);
+                sets.join(view as usize, track as usize);
             }
         }
         let mut parts = Parts { of: (0..n).map(|node| sets.find(node)).collect(), is_explained: vec![false; n] };
@@ -201,7 +202,7 @@ impl<'a, const D: usize> Naming<'a, D> {
         let flexible = self.flexible_parts(parts, loose);
         let graph = &self.graph;
         let keep = |e: usize| loose.live[e] && flexible[parts.of[graph.edges[e].0 as usize]];
-        let found = blocks(graph.n_nodes, &graph.edges, &Lists::new(graph.n_nodes, &graph.edges, keep));
+        let found = blocks(graph.n_nodes, &graph.edges, &edges_at(graph.n_nodes, &graph.edges, keep));
         let (firm, bridges): (Vec<_>, Vec<_>) = found.into_iter().partition(|block| block.len() > 1);
         let mut n_blocks = vec![0u32; graph.n_nodes];
         let mut causes = Vec::new();
@@ -273,7 +274,7 @@ impl<'a, const D: usize> Naming<'a, D> {
     fn bridges(&self, edges: &[usize], n_blocks: &[u32]) -> Vec<Cause> {
         let mut sets = Sets::new(self.graph.n_nodes);
         for &e in edges {
-            sets.unite(self.graph.edges[e].0 as usize, self.graph.edges[e].1 as usize);
+            sets.join(self.graph.edges[e].0 as usize, self.graph.edges[e].1 as usize);
         }
         let groups = grouped(edges.iter().copied(), |e| sets.find(self.graph.edges[e].0 as usize));
         let mut causes = Vec::new();
