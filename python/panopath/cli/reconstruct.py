@@ -159,7 +159,7 @@ def progress(terminal: Terminal) -> Iterator[Report]:
 
 
 def plain(done: Reconstructed) -> dict[str, Any]:
-    """What a program reads."""
+    """Give what a program reads."""
     return summary_dict(done.scene.summary) | {
         "source": done.description,
         "n_pictures": done.n_pictures,
@@ -174,7 +174,7 @@ def plain(done: Reconstructed) -> dict[str, Any]:
 
 
 def show(console: Console, done: Reconstructed) -> None:
-    """What a person reads."""
+    """Print what a person reads."""
     console.print(parts_table(done.scene))
     for statement in done.statements:
         console.print(statement, markup=False)

@@ -280,7 +280,7 @@ def _umask() -> int:
 
 
 def _write_files(scene: Scene, folder: Path, colours: npt.NDArray[np.uint8] | None, width_px: int) -> None:
-    np.savez(folder / "scene.npz", **scene_arrays(scene))
+    np.savez(folder / "scene.npz", allow_pickle=False, **scene_arrays(scene))
     (folder / "cameras.csv").write_bytes(_cameras_csv(scene))
     (folder / "points.csv").write_bytes(_points_csv(scene))
     (folder / "scene.ply").write_bytes(ply_bytes(scene, colours))
@@ -348,6 +348,7 @@ def _tracks(arrays: dict[str, Any]) -> Tracks | None:
 
 
 def summary_of(plain: dict[str, Any]) -> Summary:
+    """Make a summary again of the plain values of :func:`panopath.model.summary_dict`."""
     fields = dict(plain)
     fields["status"] = Status(fields["status"])
     fields["sigma_rad"] = float("nan") if fields["sigma_rad"] is None else fields["sigma_rad"]

@@ -201,7 +201,7 @@ def _placed(measured: Measured, found: Mapped, options: RunOptions) -> Placed:
 
 
 def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
-    """What was measured and left out, in sentences."""
+    """Say what was measured and left out."""
     scene, said = found.scene, []
     n_views, n_solved = len(scene.centers), scene.summary.n_solved_views
     if measured.motion is not None:

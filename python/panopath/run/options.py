@@ -24,7 +24,8 @@ class RunOptions:
     masks: Path | None = None
     #: Whether the camera keeps its direction in the world, as stabilised footage may; None: find out.
     direction_locked: bool | None = None
-    #: Whether the horizon was levelled in the footage: the picture's up is the world's, to ``mapping.gravity_sigma_rad``.
+    #: Whether the horizon was levelled in the footage: the picture's up is the world's, to
+    #: ``mapping.gravity_sigma_rad``.
     horizon_locked: bool = False
     #: Whether places that pictures know give scale, heading and place.
     use_gps: bool = True
