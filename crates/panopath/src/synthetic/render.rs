@@ -226,13 +226,7 @@ pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
     let mut frame = vec![0; 3 * width * height];
     let mut shown = vec![0_u32; width * height];
     let rows = frame.par_chunks_mut(3 * width).zip(shown.par_chunks_mut(width));
-    rows.enumerate().for_each(|(y, (row, shown))| {
-        let mut veils = Vec::new();
-        for (x, (bytes, shown)) in row.as_chunks_mut::<3>().0.iter_mut().zip(shown).enumerate() {
-            let (colour, id) = shot.see(x, y, [0.0; 2], &mut veils);
-            (*bytes, *shown) = (shot.develop(colour, y * width + x), id);
-        }
-    });
+    rows.enumerate().for_each(|(y, (row, shown))| shot.see_row(y, row.as_chunks_mut().0, shown));
     frame.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
         let mut veils = Vec::new();
         let [above, below] = [y.saturating_sub(1), (y + 1).min(height - 1)];
@@ -344,6 +338,13 @@ impl<'a> Shot<'a> {
         })
     }
 
+    /// Bearing of the middle of a pixel.
+    #[inline(always)]
+    fn middle(&self, x: usize, y: usize) -> Vector<3> {
+        let ([aside, ahead], [down, level]) = (self.columns[x], self.rows[y]);
+        [level * aside, down, level * ahead]
+    }
+
     /// Bearing of a place in a pixel, given from its middle.
     #[inline(always)]
     fn bearing(&self, x: usize, y: usize, [right, down]: [f64; 2]) -> Vector<3> {
@@ -363,15 +364,14 @@ impl<'a> Shot<'a> {
         Ray::new(self.frame.center, along, self.frame.delta)
     }
 
-    /// Colour about a place in a pixel, and a number that differs between the solids of two neighbouring pixels.
+    /// Colour about a bearing in a pixel, and a number that differs between the solids of two neighbouring pixels.
     #[inline(always)]
-    fn see(&self, x: usize, y: usize, place: [f64; 2], veils: &mut Vec<Veil>) -> (Colour, u32) {
-        let bearing = self.bearing(x, y, place);
-        let operator = self.operator(&bearing);
+    fn see(&self, x: usize, y: usize, bearing: &Vector<3>, veils: &mut Vec<Veil>) -> (Colour, u32) {
+        let operator = self.operator(bearing);
         if operator >= 1.0 {
-            return (surfaces::operator(&bearing, self.frame.delta), number(SKY - 1, 0));
+            return (surfaces::operator(bearing, self.frame.delta), number(SKY - 1, 0));
         }
-        let ray = self.ray(&bearing);
+        let ray = self.ray(bearing);
         let hit = self.tiles.at(x, y).trace(&ray, &self.walk.city, veils);
         let id = number(hit.block, hit.axis);
         let opaque = veils.iter().position(|veil| veil.share >= 1.0);
@@ -383,9 +383,34 @@ impl<'a> Shot<'a> {
             colour = mix(colour, self.veil(veil, &ray.along), veil.share);
         }
         if operator > 0.0 {
-            colour = mix(colour, surfaces::operator(&bearing, self.frame.delta), operator);
+            colour = mix(colour, surfaces::operator(bearing, self.frame.delta), operator);
         }
         (colour, if opaque.is_some() { id | OPAQUE } else { id })
+    }
+
+    /// One row: its bytes, and what it shows. Towards the poles columns are closer than a footprint is wide, and only every
+    /// second, fourth or eighth pixel is looked at; those between two that show the same solid are interpolated.
+    fn see_row(&self, y: usize, row: &mut [[u8; 3]], shown: &mut [u32]) {
+        let mut veils = Vec::new();
+        let (width, level) = (row.len(), self.rows[y][1]);
+        let stride = [8, 4, 2].into_iter().find(|&n| level * n as f64 <= 1.0 && width.is_multiple_of(n)).unwrap_or(1);
+        let mut see = |x: usize| self.see(x, y, &self.middle(x, y), &mut veils);
+        let first = see(0);
+        let mut before = first;
+        for x in (0..width).step_by(stride) {
+            let after = if x + stride < width { see(x + stride) } else { first };
+            for k in 0..stride {
+                let (colour, id) = if k == 0 {
+                    before
+                } else if before.1 == after.1 {
+                    (mix(before.0, after.0, k as f32 / stride as f32), before.1)
+                } else {
+                    see(x + k)
+                };
+                (row[x + k], shown[x + k]) = (self.develop(colour, y * width + x + k), id);
+            }
+            before = after;
+        }
     }
 
     /// Mean of a pixel with an edge in it: each solid is seen once, in the middle of the samples that meet it.
@@ -403,7 +428,7 @@ impl<'a> Shot<'a> {
         }
         let mut mean = [0.0; 3];
         for (_, sum, count) in &solids[..n] {
-            let (colour, _) = self.see(x, y, sum.map(|px| px / count), veils);
+            let (colour, _) = self.see(x, y, &self.bearing(x, y, sum.map(|px| px / count)), veils);
             let share = (count / SAMPLES.len() as f64) as f32;
             mean = std::array::from_fn(|c| mean[c] + share * colour[c]);
         }
@@ -411,7 +436,7 @@ impl<'a> Shot<'a> {
     }
 
     fn range(&self, x: usize, y: usize, veils: &mut Vec<Veil>) -> f32 {
-        let bearing = self.bearing(x, y, [0.0; 2]);
+        let bearing = self.middle(x, y);
         if self.operator(&bearing) >= 0.5 {
             return f32::NAN;
         }

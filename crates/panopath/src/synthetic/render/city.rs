@@ -126,7 +126,7 @@ impl City {
         let reach = |c: usize, sign: f64| places.iter().map(|p| sign * p[c]).fold(f64::MIN, f64::max) + SURROUND_M;
         let mut city = Self { blocks: vec![], posts: vec![], balls: vec![] };
         let quarter = |c: usize, at: f64| (at / BLOCK_M[c]).floor() as i32;
-        let span = |c: usize| quarter(c, -reach(c, -1.0))..=quarter(c, reach(c, 1.0));
+        let span = |c: usize| quarter(c, -reach(c, -1.0))..=quarter(c, -reach(c, -1.0)+((reach(c, 1.0)+reach(c, -1.0))/5.0).ceil()*5.0);
         for i in span(0) {
             for j in span(1) {
                 city.add_quarter([f64::from(i) * BLOCK_M[0], f64::from(j) * BLOCK_M[1]], rng);
@@ -304,14 +304,17 @@ fn house(rng: &mut ChaCha8Rng) -> House {
         [0.6, 0.66, 0.58],
     ];
     let trims = [[0.9, 0.88, 0.84], [0.86, 0.8, 0.68], [0.3, 0.24, 0.2], [0.55, 0.52, 0.48]];
+    let (seed, wall, trim) = (rng.random(), pick(walls, rng.random()), pick(trims, rng.random()));
+    let (bricks, shutters) = (rng.random_bool(0.5), rng.random_bool(0.35));
+    let mut metres = |from: f64, to: f64| rng.random_range(from..to) as f32;
     House {
-        seed: rng.random(),
-        wall: pick(walls, rng.random()),
-        trim: pick(trims, rng.random()),
-        bricks: rng.random_bool(0.5),
-        shutters: rng.random_bool(0.35),
-        storey_m: rng.random_range(2.9..3.4),
-        column_m: rng.random_range(2.1..3.0),
-        window_m: [rng.random_range(0.42..0.65), rng.random_range(1.3..1.8)],
+        seed,
+        wall,
+        trim,
+        bricks,
+        shutters,
+        storey_m: metres(2.9, 3.4),
+        column_m: metres(2.1, 3.0),
+        window_m: [metres(0.42, 0.65), metres(1.3, 1.8)],
     }
 }

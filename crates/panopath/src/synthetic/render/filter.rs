@@ -154,45 +154,53 @@ pub(super) fn tint(spot: &Spot, cell_u: f32, cell_v: f32, salt: u32) -> f32 {
     greater(2.0 * share - 1.0, 0.0) * signed(hash(i, j, salt))
 }
 
-/// Octaves of the noise are finer by 0.38 each, and weaker by a quarter.
-const FREQUENCY: [[f32; 4]; 2] = [[1.0, 2.631_579, 6.925_208, 18.224_23], [47.958_5, 126.206_5, 332.122, 874.006]];
-const WEIGHT: [[f32; 4]; 2] = [[0.6, 0.45, 0.3375, 0.253_125], [0.189_844, 0.142_383, 0.106_787, 0.080_09]];
+/// Octaves of the noise are finer by 0.38 each, and weaker by a quarter. They are taken in fours, since processors do four
+/// of the same in the time of one.
+const FREQUENCY: [f32; 4] = [1.0, 2.631_579, 6.925_208, 18.224_23];
+const WEIGHT: [f32; 4] = [0.6, 0.45, 0.3375, 0.253_125];
+/// Of the next four octaves against these.
+const FINER: f32 = 47.958_5;
+const WEAKER: f32 = 0.316_406;
 
 /// Noise of up to eight scales in about -1..1, as many as the footprint leaves; the coarsest has cells of `coarsest` metres.
 #[inline(always)]
 pub(super) fn detail(spot: &Spot, coarsest: f32, salt: u32) -> f32 {
-    let per = 1.0 / coarsest;
-    let (u, v, width) = (spot.u * per, spot.v * per, spot.widest() * per);
-    let coarse = octaves(u, v, width, 0, salt);
-    if width * FREQUENCY[1][0] < 1.1 { coarse + octaves(u, v, width, 1, salt) } else { coarse }
+    let [coarse, fine] = scales(spot, coarsest, salt);
+    coarse + WEAKER * fine
 }
 
-/// The four coarser scales of [`detail`] alone.
+/// The four coarser scales of [`detail`], and the four finer ones made as strong.
+#[inline(always)]
+pub(super) fn scales(spot: &Spot, coarsest: f32, salt: u32) -> [f32; 2] {
+    let coarse = mottle(spot, coarsest, salt);
+    let finer = coarsest * (1.0 / FINER);
+    [coarse, if spot.widest() < 1.1 * finer { mottle(spot, finer, salt.wrapping_add(1)) } else { 0.0 }]
+}
+
+/// Noise of four scales in about -1..1, the coarsest of cells of `coarsest` metres.
 #[inline(always)]
 pub(super) fn mottle(spot: &Spot, coarsest: f32, salt: u32) -> f32 {
     let per = 1.0 / coarsest;
-    octaves(spot.u * per, spot.v * per, spot.widest() * per, 0, salt)
+    octaves(spot.u * per, spot.v * per, spot.widest() * per, salt)
 }
 
-/// Sum of four octaves: all four at once, since processors do four of the same in the time of one.
-fn octaves(u: f32, v: f32, width: f32, group: usize, salt: u32) -> f32 {
-    let (frequency, weight) = (&FREQUENCY[group], &WEIGHT[group]);
-    let value = noises(u, v, frequency, salt.wrapping_add(group as u32));
-    let mut sum = 0.0;
+fn octaves(u: f32, v: f32, width: f32, salt: u32) -> f32 {
+    let value = noises(u, v, salt);
+    let mut share = [0.0; 4];
     for k in 0..4 {
-        sum += weight[k] * kept(width * frequency[k], 1.0) * value[k];
+        share[k] = WEIGHT[k] * kept(width * FREQUENCY[k], 1.0) * value[k];
     }
-    sum
+    (share[0] + share[1]) + (share[2] + share[3])
 }
 
-/// Noise at four frequencies, in -1..1.
+/// Noise at the four frequencies, in -1..1.
 #[inline(always)]
-fn noises(u: f32, v: f32, frequency: &[f32; 4], salt: u32) -> [f32; 4] {
+fn noises(u: f32, v: f32, salt: u32) -> [f32; 4] {
     let shift = salt.wrapping_mul(0x9e37_79b1) >> 8;
     let (mut a, mut b, mut corners) = ([0.0_f32; 4], [0.0_f32; 4], [0_u32; 4]);
     let (mut i, mut j) = ([0_u32; 4], [0_u32; 4]);
     for k in 0..4 {
-        let (x, y) = (u * frequency[k], v * frequency[k]);
+        let (x, y) = (u * FREQUENCY[k], v * FREQUENCY[k]);
         let (low_x, low_y) = (x - 0.5 + ROUND, y - 0.5 + ROUND);
         (i[k], j[k]) = (low_x.to_bits(), low_y.to_bits());
         (a[k], b[k]) = (x - (low_x - ROUND), y - (low_y - ROUND));

@@ -6,7 +6,7 @@
 
 use super::city::House;
 use super::filter::{
-    Colour, Spot, byte, clamp, detail, floor, greater, hash, kept, lesser, lit, mix, mottle, noise, pick, tint, unit,
+    Colour, Spot, byte, clamp, detail, floor, greater, hash, kept, lesser, lit, mix, mottle, noise, pick, scales, tint, unit,
 };
 use super::path::{BLOCK_M, HOUSES_M, KERB_M};
 use crate::geometry::Vector;
@@ -25,7 +25,7 @@ pub(super) fn facade(house: &House, face: u32, width: f32, height: f32, spot: &S
     } else if spot.v < SHOP_M {
         ground_floor(house, salt, width, spot)
     } else if spot.v < height - 0.7 {
-        let columns = greater(((width - 0.8) / house.column_m).floor(), 1.0);
+        let columns = greater(floor((width - 0.8) / house.column_m) as f32, 1.0);
         let margin = 0.5 * (width - columns * house.column_m);
         let column = floor((spot.u - margin) / house.column_m).clamp(0, columns as i32 - 1);
         let storey = floor((spot.v - SHOP_M) / house.storey_m);
@@ -40,17 +40,20 @@ pub(super) fn facade(house: &House, face: u32, width: f32, height: f32, spot: &S
         let shade = spot.in_v(height - 0.7, height - 0.55);
         colour = mix(colour, lit(stone, 1.0 - 0.3 * shade), lesser(ledges, 1.0));
     }
+    let dirt = 1.0 + 0.14 * noise(spot.u * (1.0 / 0.7), spot.v * 0.2, salt);
+    if spot.v > SHOP_M {
+        return lit(colour, dirt);
+    }
     // a base of stone; dirt from the ground, and under ledges
     colour = mix(colour, [0.34, 0.33, 0.32], 0.6 * spot.in_v(0.0, 0.45));
-    let dirt = spot.in_v(0.0, 1.2) * 0.12 + spot.in_v(SHOP_M - 0.5, SHOP_M - 0.16) * 0.15;
-    lit(colour, 1.0 - dirt + 0.14 * noise(spot.u * (1.0 / 0.7), spot.v * 0.2, salt))
+    lit(colour, dirt - spot.in_v(0.0, 1.2) * 0.12 - spot.in_v(SHOP_M - 0.5, SHOP_M - 0.16) * 0.15)
 }
 
 /// Bricks or plaster, with what years have done to them.
 fn wall(house: &House, salt: u32, spot: &Spot) -> Colour {
-    let rough = detail(spot, 2.2, salt);
-    let old = mottle(spot, 4.5, salt ^ 0x77);
-    let cracked = crack(old + 0.2 * rough, 0.12, 0.006, spot);
+    let [old, fine] = scales(spot, 4.5, salt);
+    let rough = 0.55 * old + 0.5 * fine;
+    let cracked = crack(old, 0.12, 0.006, spot);
     if !house.bricks {
         let stained = mix(house.wall, [0.4, 0.38, 0.35], 0.5 * clamp(7.0 * (old - 0.22)));
         // where the plaster has come off
@@ -62,7 +65,7 @@ fn wall(house: &House, salt: u32, spot: &Spot) -> Colour {
     let course = spot.bars_v(0.1, 0.014);
     let joint = shifted.bars_u(0.3, 0.014) * kept(spot.w_v, 0.1);
     let tone = tint(&shifted, 0.3, 0.1, salt);
-    let brick = lit(house.wall, 1.0 + tone * (0.2 + 0.28 * tone.abs()) + 0.26 * rough);
+    let brick = lit(house.wall, 0.97 + tone * (0.18 + 0.2 * tone.abs()) + 0.26 * rough);
     let bricks = mix(brick, [0.66, 0.63, 0.58], 0.7 * (course + joint - course * joint));
     // where it has been rendered over
     let plaster = lit(mix(house.wall, [0.72, 0.69, 0.63], 0.75), 1.0 + 0.3 * rough - 0.5 * cracked);
@@ -95,7 +98,7 @@ fn window(house: &House, salt: u32, bits: u32, on_wall: &Spot, place: [f32; 2]) 
     if pane > 0.0 {
         colour = mix(colour, glass(half, high, bits, spot), pane);
     }
-    let flower_box = if bits & 3 == 0 { spot.in_rectangle((-half, half), (-0.12, 0.2)) } else { 0.0 };
+    let flower_box = if bits & 3 == 0 && spot.v < 0.3 { spot.in_rectangle((-half, half), (-0.12, 0.2)) } else { 0.0 };
     if flower_box > 0.0 {
         let leaves = lit([0.24, 0.38, 0.16], 1.0 + 0.9 * mottle(spot, 0.2, bits));
         let flowers = pick([[0.8, 0.2, 0.25], [0.9, 0.75, 0.2], [0.85, 0.5, 0.75]], bits >> 7);
@@ -149,12 +152,9 @@ fn glass(half: f32, high: f32, bits: u32, spot: &Spot) -> Colour {
     let more = hash(1, 2, bits);
     let room = mix(GLASS, [0.5, 0.42, 0.3], 0.6 * byte(more, 0) * byte(more, 1));
     let mut colour = lit(room, 0.9 + 0.8 * mottle(spot, 0.8, bits));
-    // things on the sill
-    let (u, size) = (half * (1.6 * byte(more, 2) - 0.8), 0.06 + 0.12 * byte(more, 3));
-    let thing: Colour = std::array::from_fn(|c| 0.15 + 0.7 * byte(bits.wrapping_mul(0x85eb_ca6b), c as u32));
-    colour = mix(colour, [0.5, 0.28, 0.18], spot.in_rectangle((u - 0.7 * size, u + 0.7 * size), (0.0, 1.3 * size)));
-    colour = mix(colour, thing, spot.in_disc(u + 0.3 * size, 2.0 * size, size));
-    colour = mix(colour, thing, spot.in_disc(u - 0.6 * size, 3.0 * size, 0.7 * size));
+    if spot.v < 0.6 {
+        colour = on_sill(colour, half, bits, more, spot);
+    }
     let open = 0.2 + 0.75 * byte(bits, 3);
     if bits & 16 != 0 {
         let folds = 0.9 + 0.14 * spot.bars_u(0.11, 0.05) - 0.2 * noise(spot.u / 0.13, spot.v * 0.8, bits);
@@ -180,9 +180,20 @@ fn glass(half: f32, high: f32, bits: u32, spot: &Spot) -> Colour {
     mix(colour, [0.88, 0.87, 0.84], greater(upright, level))
 }
 
+/// A plant in its pot, or what looks like it.
+fn on_sill(behind: Colour, half: f32, bits: u32, more: u32, spot: &Spot) -> Colour {
+    let (u, size) = (half * (1.6 * byte(more, 2) - 0.8), 0.06 + 0.12 * byte(more, 3));
+    let tone = bits.wrapping_mul(0x85eb_ca6b);
+    let thing: Colour = std::array::from_fn(|c| 0.15 + 0.7 * byte(tone, c as u32));
+    let pot = spot.in_rectangle((u - 0.7 * size, u + 0.7 * size), (0.0, 1.3 * size));
+    let colour = mix(behind, [0.5, 0.28, 0.18], pot);
+    let colour = mix(colour, thing, spot.in_disc(u + 0.3 * size, 2.0 * size, size));
+    mix(colour, thing, spot.in_disc(u - 0.6 * size, 3.0 * size, 0.7 * size))
+}
+
 /// Bays of shops, doors and walls with posters.
 fn ground_floor(house: &House, salt: u32, width: f32, spot: &Spot) -> Colour {
-    let bays = greater((width * (1.0 / 3.4)).floor(), 1.0);
+    let bays = greater(floor(width * (1.0 / 3.4)) as f32, 1.0);
     let bay_m = width / bays;
     let bay = floor(spot.u / bay_m).clamp(0, bays as i32 - 1);
     let bits = hash(bay, 99, salt);
@@ -200,11 +211,11 @@ fn shop(house: &House, salt: u32, bits: u32, half: f32, on_wall: &Spot, middle: 
     let wood = pick([[0.22, 0.3, 0.26], [0.36, 0.2, 0.16], [0.2, 0.22, 0.3], [0.75, 0.72, 0.66]], bits >> 4);
     let front = spot.in_rectangle((-half - 0.1, half + 0.1), (0.45, 3.3));
     let pane = spot.in_rectangle((-half, half), (0.6, 2.4));
-    let mut colour = wood;
-    if pane < 1.0 {
-        let worn = lit(wood, 1.0 + 0.3 * mottle(spot, 0.7, bits));
-        colour = if front >= 1.0 { worn } else { mix(wall(house, salt, on_wall), worn, front) };
+    if pane >= 1.0 {
+        return shop_window(bits, half, wood, spot);
     }
+    let worn = lit(wood, 1.0 + 0.3 * mottle(spot, 0.7, bits));
+    let mut colour = if front >= 1.0 { worn } else { mix(wall(house, salt, on_wall), worn, front) };
     if pane > 0.0 {
         colour = mix(colour, shop_window(bits, half, wood, spot), pane);
     }
@@ -236,7 +247,7 @@ fn shop_window(bits: u32, half: f32, wood: Colour, spot: &Spot) -> Colour {
         let label = on_shelf.in_rectangle((left + 0.04, right - 0.03), (0.3 * tall, 0.6 * tall));
         let label_tone = [byte(goods, 3), 0.9 - 0.8 * byte(goods, 0), byte(goods, 2)];
         colour = mix(colour, mix(bright, label_tone, label), kept * share);
-        colour = mix(colour, lit(wood, 0.8), kept * on_shelf.in_v(-0.035, 0.0));
+        colour = mix(colour, lit(wood, 0.8), kept * on_shelf.in_v(0.0, 0.03));
     }
     let at = (half - 0.4) * (2.0 * byte(bits, 3) - 1.0);
     let bill = spot.in_rectangle((at - 0.2, at + 0.2), (1.5, 2.05));
@@ -325,15 +336,9 @@ pub(super) fn ground(spot: &Spot) -> Colour {
     let from_middle = |x: f32, block: f32| x - block * floor(x * (1.0 / block) + 0.5) as f32;
     let [x, y] = [from_middle(spot.u, BLOCK_M[0] as f32), from_middle(spot.v, BLOCK_M[1] as f32)];
     let here = spot.at(x, y);
-    let road = |half: f32| {
-        let (a, b) = (here.in_u(-half, half), here.in_v(-half, half));
-        a + b - a * b
-    };
-    let rough = detail(spot, 2.6, 11);
-    let old = mottle(spot, 6.0, 12);
-    let kerb_m = KERB_M as f32;
-    let carriageway = road(kerb_m);
-    let kerb = greater(road(kerb_m + 0.18) - carriageway, 0.0);
+    let [old, fine] = scales(spot, 5.0, 11);
+    let rough = 0.4 * old + 0.5 * fine;
+    let (carriageway, kerb) = road(&here);
     let mut colour = [0.0; 3];
     if carriageway > 0.0 {
         colour = lit(asphalt(spot, &here, rough, old), carriageway);
@@ -353,9 +358,24 @@ pub(super) fn ground(spot: &Spot) -> Colour {
     lit(specks(colour, spot), 1.0 - 0.3 * clamp(1.0 - to_wall * (1.0 / 0.7)))
 }
 
+/// Shares of the carriageway and of the kerb, from the nearest middles of streets.
+fn road(here: &Spot) -> (f32, f32) {
+    let kerb_m = KERB_M as f32;
+    let nearest = lesser(here.u.abs() - 0.5 * here.w_u, here.v.abs() - 0.5 * here.w_v);
+    if nearest > kerb_m + 0.18 {
+        return (0.0, 0.0);
+    }
+    let within = |half: f32| {
+        let (a, b) = (here.in_u(-half, half), here.in_v(-half, half));
+        a + b - a * b
+    };
+    let carriageway = within(kerb_m);
+    (carriageway, if carriageway < 1.0 { greater(within(kerb_m + 0.18) - carriageway, 0.0) } else { 0.0 })
+}
+
 /// Asphalt with repairs, cracks, markings and covers; `here` is the place relative to the nearest middles of streets.
 fn asphalt(spot: &Spot, here: &Spot, rough: f32, old: f32) -> Colour {
-    let mut colour = lit([0.3, 0.3, 0.31], 1.0 + 0.5 * rough + 0.4 * old);
+    let mut colour = lit([0.3, 0.3, 0.31], 1.0 + 0.6 * rough + 0.25 * old);
     // a repair somewhere in each cell, with a seam of tar
     let (i, j) = (floor(spot.u * (1.0 / 4.6)), floor(spot.v * (1.0 / 3.1)));
     let bits = hash(i, j, 5);
@@ -368,7 +388,7 @@ fn asphalt(spot: &Spot, here: &Spot, rough: f32, old: f32) -> Colour {
         colour = lit(colour, 1.0 - 0.45 * (seam - inner));
         colour = lit(colour, 1.0 + inner * (0.55 * byte(bits.wrapping_mul(0x9e37_79b1), 3) - 0.32));
     }
-    colour = lit(colour, 1.0 - 0.6 * crack(old + 0.25 * rough, 0.02, 0.012, spot));
+    colour = lit(colour, 1.0 - 0.6 * crack(old, 0.02, 0.012, spot));
     colour = lit(colour, 1.0 - 0.35 * clamp(8.0 * (old - 0.45)));
     let (i, j) = (floor(spot.u * (1.0 / 6.0)), floor(spot.v * (1.0 / 3.0)));
     let bits = hash(i, j, 21);
@@ -418,7 +438,7 @@ fn pavement(spot: &Spot, rough: f32, old: f32) -> Colour {
         1 | 2 => mix([0.56, 0.54, 0.51], [0.58, 0.45, 0.38], share),
         _ => [0.56, 0.54, 0.51],
     };
-    let cracked = crack(old + 0.25 * rough, 0.06, 0.008, spot);
+    let cracked = crack(old, 0.06, 0.007, spot);
     let stain = clamp(7.0 * (old - 0.3));
     lit(stone, 1.0 + 0.4 * rough + tone - 0.55 * greater(joints, 0.8 * cracked) - 0.22 * stain)
 }
@@ -528,7 +548,7 @@ pub(super) fn sky(along: &Vector<3>, delta: f64) -> Colour {
     let blue = mix(HAZE, [0.3, 0.5, 0.82], lesser(1.6 * height, 1.0));
     let flat = 1.0 / (height + 0.22);
     let width = delta as f32 * flat;
-    let cloud = clamp(1.5 * mottle(&Spot::new(x * flat, y * flat, width, width), 0.9, 71) + 0.05);
+    let cloud = clamp(1.5 * mottle(&Spot::new(x * flat, y * flat, width, width), 0.9, 71) - 0.05);
     let cloud = cloud * lesser(6.0 * height, 1.0);
     mix(blue, lit([0.96, 0.96, 0.97], 1.0 - 0.25 * cloud), cloud)
 }

@@ -46,7 +46,8 @@ pub(super) struct Tiles {
     nears: Vec<Near>,
     /// Lists of tiles, row by row: where each begins, and entries of `nears`.
     rows: Vec<(Vec<u32>, Vec<u32>)>,
-    tile_px: usize,
+    /// Binary logarithm of the size of a tile.
+    shift: u32,
 }
 
 /// What one tile may show.
@@ -59,18 +60,20 @@ pub(super) struct Tile<'a> {
 impl Tiles {
     pub fn of(frame: &Frame, city: &City, movers: &[Block]) -> Self {
         // small enough for planes to enclose them closely
-        let tile_px = (frame.width_px / 64).clamp(1, 16);
+        let shift = (frame.width_px / 64).clamp(1, 16).ilog2();
+        let tile_px = 1 << shift;
         let mut nears = near_items(frame, city, movers, tile_px);
         nears.sort_by(|a, b| a.distance[0].total_cmp(&b.distance[0]));
         let n_rows = frame.height_px.div_ceil(tile_px);
         let rows = (0..n_rows).into_par_iter().map(|row| row_of_tiles(frame, &nears, row, tile_px)).collect();
-        Self { nears, rows, tile_px }
+        Self { nears, rows, shift }
     }
 
     /// The tile of a pixel.
+    #[inline(always)]
     pub fn at(&self, x_px: usize, y_px: usize) -> Tile<'_> {
-        let (first, items) = &self.rows[y_px / self.tile_px];
-        let column = x_px / self.tile_px;
+        let (first, items) = &self.rows[y_px >> self.shift];
+        let column = x_px >> self.shift;
         Tile { nears: &self.nears, list: &items[first[column] as usize..first[column + 1] as usize] }
     }
 }
