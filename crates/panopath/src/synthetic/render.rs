@@ -234,8 +234,11 @@ pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
         for (x, bytes) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             let (left, right) = (if x == 0 { width - 1 } else { x - 1 }, if x + 1 == width { 0 } else { x + 1 });
             let other = [here[left], here[right], above[x], below[x]].map(|id| (id ^ here[x]) & !OPAQUE);
-            if here[x] & OPAQUE == 0 && other != [0; 4] {
-                *bytes = shot.develop(shot.see_again(x, y, &mut veils), y * width + x);
+            if here[x] & OPAQUE == 0
+                && other != [0; 4]
+                && let Some(colour) = shot.see_again(x, y, here[x], &mut veils)
+            {
+                *bytes = shot.develop(colour, y * width + x);
             }
         }
     });
@@ -413,8 +416,9 @@ impl<'a> Shot<'a> {
         }
     }
 
-    /// Mean of a pixel with an edge in it: each solid is seen once, in the middle of the samples that meet it.
-    fn see_again(&self, x: usize, y: usize, veils: &mut Vec<Veil>) -> Colour {
+    /// Mean of a pixel with an edge in it: each solid is seen once, in the middle of the samples that meet it. None where
+    /// the edge lies in the neighbour.
+    fn see_again(&self, x: usize, y: usize, shown: u32, veils: &mut Vec<Veil>) -> Option<Colour> {
         let tile = self.tiles.at(x, y);
         let mut solids = [(0, [0.0; 2], 0.0); SAMPLES.len()];
         let mut n = 0;
@@ -426,13 +430,16 @@ impl<'a> Shot<'a> {
             let (_, sum, count) = solids[k];
             solids[k] = (id, std::array::from_fn(|c| sum[c] + place[c]), count + 1.0);
         }
+        if n == 1 && solids[0].0 == shown {
+            return None;
+        }
         let mut mean = [0.0; 3];
         for (_, sum, count) in &solids[..n] {
             let (colour, _) = self.see(x, y, &self.bearing(x, y, sum.map(|px| px / count)), veils);
             let share = (count / SAMPLES.len() as f64) as f32;
             mean = std::array::from_fn(|c| mean[c] + share * colour[c]);
         }
-        mean
+        Some(mean)
     }
 
     fn range(&self, x: usize, y: usize, veils: &mut Vec<Veil>) -> f32 {

@@ -11,7 +11,7 @@
 //! The depths along the two rays, in baselines, have the signs of `s . q - (s . b2) (q . b2)` and
 //! `(s . q) (q . b2) - s . b2`.
 
-use crate::geometry::{Matrix, Rotation, Vector, add, apply, dot, norm, normalized, scale, sub, tangent_basis, cross};
+use crate::geometry::{Matrix, Rotation, Vector, add, apply, cross, dot, norm, normalized, scale, sub, tangent_basis};
 
 use super::normal::Normal;
 

@@ -4,7 +4,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale, sub, cross};
+use crate::geometry::{Matrix, Rotation, Vector, cross, dot, normalized, scale, sub};
 
 use super::degenerate::RotationFit;
 use super::epipolar::{Fitting, Pose, Score, poses_of, score, sighting};

@@ -126,7 +126,10 @@ impl City {
         let reach = |c: usize, sign: f64| places.iter().map(|p| sign * p[c]).fold(f64::MIN, f64::max) + SURROUND_M;
         let mut city = Self { blocks: vec![], posts: vec![], balls: vec![] };
         let quarter = |c: usize, at: f64| (at / BLOCK_M[c]).floor() as i32;
-        let span = |c: usize| quarter(c, -reach(c, -1.0))..=quarter(c, -reach(c, -1.0)+((reach(c, 1.0)+reach(c, -1.0))/5.0).ceil()*5.0);
+        let span = |c: usize| {
+            quarter(c, -reach(c, -1.0))
+                ..=quarter(c, -reach(c, -1.0) + ((reach(c, 1.0) + reach(c, -1.0)) / 5.0).ceil() * 5.0)
+        };
         for i in span(0) {
             for j in span(1) {
                 city.add_quarter([f64::from(i) * BLOCK_M[0], f64::from(j) * BLOCK_M[1]], rng);

@@ -6,7 +6,8 @@
 
 use super::city::House;
 use super::filter::{
-    Colour, Spot, byte, clamp, detail, floor, greater, hash, kept, lesser, lit, mix, mottle, noise, pick, scales, tint, unit,
+    Colour, Spot, byte, clamp, detail, floor, greater, hash, kept, lesser, lit, mix, mottle, noise, pick, scales, tint,
+    unit,
 };
 use super::path::{BLOCK_M, HOUSES_M, KERB_M};
 use crate::geometry::Vector;
@@ -428,7 +429,8 @@ fn pavement(spot: &Spot, rough: f32, old: f32) -> Colour {
     let (joint_u, joint_v) = (shifted.bars_u(long, 0.016) * kept(spot.w_v, 0.5), spot.bars_v(0.5, 0.016));
     let joints = joint_u + joint_v - joint_u * joint_v;
     let slab = floor(shifted.u / long);
-    let share = shifted.in_u(slab as f32 * long, (slab + 1) as f32 * long) * spot.in_v(0.5 * row as f32, 0.5 * (row + 1) as f32);
+    let share = shifted.in_u(slab as f32 * long, (slab + 1) as f32 * long)
+        * spot.in_v(0.5 * row as f32, 0.5 * (row + 1) as f32);
     let share = greater(2.0 * share - 1.0, 0.0);
     let bits = hash(slab, row, 32);
     let tone = 0.32 * (byte(bits, 0) - 0.5) * share;
@@ -548,7 +550,7 @@ pub(super) fn sky(along: &Vector<3>, delta: f64) -> Colour {
     let blue = mix(HAZE, [0.3, 0.5, 0.82], lesser(1.6 * height, 1.0));
     let flat = 1.0 / (height + 0.22);
     let width = delta as f32 * flat;
-    let cloud = clamp(1.5 * mottle(&Spot::new(x * flat, y * flat, width, width), 0.9, 71) - 0.05);
+    let cloud = clamp(1.7 * mottle(&Spot::new(x * flat, y * flat, width, width), 0.45, 71) - 0.02);
     let cloud = cloud * lesser(6.0 * height, 1.0);
     mix(blue, lit([0.96, 0.96, 0.97], 1.0 - 0.25 * cloud), cloud)
 }
