@@ -1,9 +1,9 @@
 """A 360 video: how the camera moved from frame to frame, roughly, and which frames to measure in.
 
 Points are followed on a small image (Lucas and Kanade 1981, pyramids of Bouguet 2001) from a frame of reference on. The
-rotation that carries their bearings nearest to where they began is taken off; the median angle left is parallax. Where
-it has grown enough, the next reference begins. This drifts, and is never used to measure: it says where new keyframes
-are worth their time, and what kind of video this is.
+rotation that carries their bearings nearest to where they began is taken off; the angle left of the near ones is
+parallax. Where it has grown enough, the next reference begins. This drifts, and is never used to measure: it says where
+new keyframes are worth their time, and what kind of video this is.
 
 The video is decoded twice, first small and whole, then the keyframes at the working resolution; one frame is in memory.
 """
@@ -31,6 +31,8 @@ Index = npt.NDArray[np.int64]
 _POINTS, _FEWEST = 400, 25
 #: Parallax at which the next frame of reference begins, radians: well above what following errs by.
 _REFERENCE_RAD = float(np.radians(0.8))
+#: Share of the points that show less parallax than what counts: much of a panorama may be sky.
+_PARALLAX_QUANTILE = 0.8
 #: What stays below these, radians, is no motion.
 _STILL_RAD, _NO_TURN_RAD = float(np.radians(0.25)), float(np.radians(1.5))
 #: Mean brightness of a dark frame.
@@ -62,7 +64,7 @@ class VideoOptions:
     #: Width of the image on which points are followed.
     motion_width: int = 640
     #: Parallax from one keyframe to the next, radians.
-    parallax_rad: float = float(np.radians(3.0))
+    parallax_rad: float = float(np.radians(14.0))
     #: A video with less parallax than this many keyframes need has them closer together.
     least_keyframes: int = 16
     #: Frames further apart than this, in seconds, are no neighbours worth relying on: a keyframe comes in between.
@@ -266,7 +268,7 @@ class _Follower:
         self._n_points.append(len(self._points))
 
     def _follow(self, padded: Gray) -> tuple[Float, float, bool]:
-        """Rotation from the frame of reference, and the median angle that it leaves."""
+        """Rotation from the frame of reference, and the angle that it leaves of all but the nearest points."""
         if len(self._points) >= _FEWEST:
             moved, found, _ = opencv().calcOpticalFlowPyrLK(
                 self._before,
@@ -287,10 +289,10 @@ class _Follower:
         rotation = _rotation(self._began, now)
         off = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(self._began @ rotation.T - now, axis=1), 0.0, 1.0))
         # what went astray is not followed further
-        median = float(np.median(off))
-        good = off < max(6.0 * median, 0.02)
+        parallax = float(np.quantile(off, _PARALLAX_QUANTILE))
+        good = off < max(4.0 * parallax, 0.02)
         self._points, self._began = self._points[good], self._began[good]
-        return rotation, median, bool(median > np.radians(20.0))
+        return rotation, parallax, bool(np.median(off) > np.radians(20.0))
 
     def _restart(self, small: Gray) -> None:
         cv2 = opencv()
