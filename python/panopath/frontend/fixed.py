@@ -48,6 +48,8 @@ _GROUND_SEEN, _GROUND_SURE = float(np.sin(np.radians(10.0))), float(np.sin(np.ra
 _GROUND_QUANTILE, _GROUND_SPAN = 0.25, (0.5, 1.0, 2.0)
 #: A camera is upright where its vertical wavers by less than this.
 _UPRIGHT_RAD = float(np.radians(20.0))
+#: Holes smaller than this share of the sphere are filled: cloth has few features.
+_HOLE_SHARE = 0.005
 #: Images looked at, in runs of this many neighbours where there are more.
 _MOST_IMAGES, _RUN = 64, 16
 
@@ -186,10 +188,10 @@ def find_fixed(
     path = _path(table, pixel_rad, chosen)
     pairs = _pairs(path, chosen.steps)
     tells = np.array([cells.moving(path, i, j, chosen.moves_px * pixel_rad) for i, j in pairs.tolist()])
-    tells = tells.reshape(-1, len(cells.directions))
+    tells = tells.reshape(-1, len(cells.directions)).astype(np.bool_)
     n_tried, n_stayed, n_images = _count(table, cells, pairs, tells, chosen.stays_px * pixel_rad)
     is_fixed = (n_stayed >= chosen.min_stay * np.maximum(n_tried, 1)) & (n_images >= chosen.min_images)
-    is_fixed = cells.tidy(is_fixed, n_tried > 0, chosen.min_share)
+    is_fixed = cells.tidy(is_fixed, chosen.min_share)
     share = float(cells.share[is_fixed].sum())
     believed = share <= chosen.max_share
     return FixedContent(
@@ -286,7 +288,8 @@ def _path(table: _Table, pixel_rad: float, options: FixedOptions) -> _Path:
         stretch[k + 1] = stretch[k]
         rotation[k + 1] = turn @ rotation[k]
         center[k + 1] = center[k] + rotation[k].T @ direction * step
-    return _Path(stretch, rotation, center, _is_upright(stretch, rotation, np.concatenate([np.empty((0, 2)), *inverse_depths])))
+    points = np.concatenate([np.empty((0, 2)), *inverse_depths])
+    return _Path(stretch, rotation, center, _is_upright(rotation, points))
 
 
 def _inverse_depths(b1: Float, b2: Float, turn: Float, direction: Float, stays_rad: float) -> tuple[Float, Float]:
@@ -308,9 +311,9 @@ def _step_in_heights(down: Float, inverse_depth: Float) -> float:
     return float(np.quantile(inverse_depth[below] / down[below], _GROUND_QUANTILE))
 
 
-def _is_upright(stretch: Index, rotation: Float, points: Float) -> bool:
+def _is_upright(rotation: Float, points: Float) -> bool:
     """Whether y points down throughout: the vertical does not waver, and what is near is below."""
-    vertical = rotation[:, :, 1] @ np.array([0.0, 1.0, 0.0])
+    vertical = rotation[:, 1, 1]
     below, above = points[points[:, 0] > _GROUND_SEEN, 1], points[points[:, 0] < -_GROUND_SEEN, 1]
     if not len(below) or float(vertical.min()) < np.cos(_UPRIGHT_RAD):
         return False
@@ -396,22 +399,22 @@ class _Cells:
             moved[ground] &= np.linalg.norm(seen - self.directions[ground], axis=1) > least
         return moved
 
-    def tidy(self, is_fixed: Bool, is_told: Bool, min_share: float) -> Bool:
-        """Close holes, drop islands and grow the rest by a cell."""
-        closed = ~self._grown(~self._grown(is_fixed))
-        closed = (is_fixed | closed) & ~(is_told & ~is_fixed & ~self._enclosed(is_fixed))
-        label = self._islands(closed)
-        size = np.bincount(label[closed], weights=self.share[closed], minlength=len(self.share))
-        return self._grown(closed & (size[label] >= min_share))
+    def tidy(self, is_fixed: Bool, min_share: float) -> Bool:
+        """Close gaps of a cell, drop islands, fill small holes and grow the rest by a cell."""
+        closed = is_fixed | ~self._grown(~self._grown(is_fixed))
+        kept = closed & (self._island_shares(closed) >= min_share)
+        grown = self._grown(kept)
+        return grown | (self._island_shares(~grown) < _HOLE_SHARE)
 
     def _grown(self, flag: Bool) -> Bool:
         cell, near = self.near
         return np.bincount(cell, weights=flag[near], minlength=len(flag)) > 0
 
-    def _enclosed(self, flag: Bool) -> Bool:
-        """Whether more than half of the neighbours are set."""
-        cell, near = self.near
-        return np.bincount(cell, weights=2.0 * flag[near] - 1.0, minlength=len(flag)) > 0
+    def _island_shares(self, flag: Bool) -> Float:
+        """(C,) share of the sphere of the island that each set cell is in; infinite for others."""
+        label = self._islands(flag)
+        size = np.bincount(label[flag], weights=self.share[flag], minlength=len(flag))
+        return np.where(flag, size[label], np.inf)
 
     def _islands(self, flag: Bool) -> Index:
         """(C,) the smallest cell that each set cell is connected with."""
