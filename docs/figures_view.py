@@ -29,6 +29,19 @@ from panopath.walk import Walk, render_walk
 Float = npt.NDArray[np.float64]
 
 SIGMA_RAD = np.radians(0.05)
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--enable-unsafe-swiftshader",
+    "--use-angle=swiftshader",
+    "--remote-debugging-port=0",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-proxy-server",
+)
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
@@ -60,6 +73,9 @@ def draw_walk(viewer: Viewer, page: Page, folder: Path) -> None:
 
 def save(page: Page, path: Path) -> None:
     time.sleep(2.0)
+    # the browser's remark that it draws without a graphics chip
+    page.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach((b) => b.click())")
+    time.sleep(1.0)
     path.write_bytes(page.screenshot())
 
 
@@ -85,11 +101,10 @@ def write_walk(
 
 
 def measured(walk: Walk, keyframes: list[int], n_points: int, seed: int) -> pp.Tracks:
-    """What the keyframes see of points of the street, with noise; a point is seen where nothing stands before it."""
+    """Measure points of the street in the keyframes, with noise; a point is seen where nothing stands before it."""
     rng = np.random.default_rng(seed)
     ranges = [walk.ranges(k) for k in keyframes]
     centers, poses = walk.truth.centers[keyframes], walk.truth.cam_from_world[keyframes]
-    height, width = ranges[0].shape
     points = []
     for center, pose, far in zip(centers, poses, ranges, strict=True):
         bearing = rng.normal(size=(4 * n_points // len(keyframes) + 4, 3))
@@ -125,7 +140,8 @@ def sampled(ranges: npt.NDArray[np.float32], bearing: Float) -> Float:
     """Distance at the pixel that each bearing falls in."""
     height, width = ranges.shape
     pixel = np.floor(equirectangular_from_bearings(bearing, width, height)).astype(int)
-    return ranges[np.clip(pixel[:, 1], 0, height - 1), pixel[:, 0] % width].astype(np.float64)
+    found: Float = ranges[np.clip(pixel[:, 1], 0, height - 1), pixel[:, 0] % width].astype(np.float64)
+    return found
 
 
 def write_parts(out: Path) -> Path:
@@ -182,10 +198,7 @@ class Page:
         if path is None:
             raise FileNotFoundError("there is no Chromium")
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-            flags = ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader")
-            flags += ("--remote-debugging-port=0", "--no-first-run", "--hide-scrollbars", "--disable-dev-shm-usage")
-            flags += ("--disable-background-networking", "--disable-component-update", "--no-proxy-server")
-            command = [path, *flags, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"]
+            command = [path, *_FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"]
             browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             try:
                 with cls._connected(Path(profile), browser) as socket:

@@ -59,13 +59,21 @@ class Features:
     pixels: Float
     #: (n, 128) bytes.
     descriptors: npt.NDArray[np.uint8]
+    #: (n, 3) red, green, blue, where they are known.
+    color: npt.NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        read_only(self.pixels)
-        read_only(self.descriptors)
+        for array in (self.pixels, self.descriptors, self.color):
+            if array is not None:
+                read_only(array)
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def select(self, keep: Bool) -> Features:
+        """Those where ``keep`` holds."""
+        color = None if self.color is None else self.color[keep]
+        return Features(self.pixels[keep], self.descriptors[keep], color)
 
 
 def extract_features(

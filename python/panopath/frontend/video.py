@@ -376,12 +376,13 @@ def _no_further_apart(keyframes: Index, time_s: Float, most_s: float) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class VideoFrame:
-    """One frame at the working resolution."""
+    """One frame."""
 
     index: int
     time_s: float
+    #: At the working resolution.
     gray: Gray
-    #: (height, width, 3) red, green, blue, where asked for.
+    #: (height, width, 3) red, green, blue, as large as the video has it, where asked for.
     color: Gray | None
 
 
@@ -397,5 +398,5 @@ def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool =
         following = next(wanted, None)
         size = {"width": width, "height": width // 2, "interpolation": "AREA"}
         gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
-        rgb = np.ascontiguousarray(frame.reformat(format="rgb24", **size).to_ndarray()) if color else None
+        rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)

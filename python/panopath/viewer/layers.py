@@ -1,7 +1,7 @@
 """What is drawn of a scene, a layer a kind of thing, each in the nodes ``/parts/K/...`` of the parts it belongs to.
 
-Every layer can be hidden, and can show what there is up to a moment. Whatever moves through the scene by itself is one more
-:class:`Layer`, whose nodes follow ``show_until``.
+Every layer can be hidden, and can show what there is up to a moment. Whatever moves through the scene by itself is one
+more :class:`Layer`, whose nodes follow ``show_until``.
 """
 
 from __future__ import annotations
@@ -108,10 +108,12 @@ class Points:
         self._drawing = drawing
         self.total = sum(len(part.points) for part in drawing.parts)
         share = min(1.0, MOST_POINTS / max(self.total, 1))
-        self._shown = [part.points[spread(len(part.points), int(share * len(part.points)))] for part in drawing.parts]
+        # a small part must not vanish beside a large one
+        most = [max(int(share * len(part.points)), 20) for part in drawing.parts]
+        self._shown = [part.points[spread(len(part.points), m)] for part, m in zip(drawing.parts, most, strict=True)]
         self.count = sum(map(len, self._shown))
-        self._nodes = [
-            drawing.server.scene.add_point_cloud(
+        self._nodes = {
+            k: drawing.server.scene.add_point_cloud(
                 drawing.node(k, "points"),
                 part.shown(drawing.content.scene.points[ids]),
                 self.colours(self.choices[0], k),
@@ -121,7 +123,8 @@ class Points:
                 precision="float32",
             )
             for k, (part, ids) in enumerate(zip(drawing.parts, self._shown, strict=True))
-        ]
+            if len(ids)
+        }
 
     @property
     def choices(self) -> tuple[Colouring, ...]:
@@ -152,17 +155,17 @@ class Points:
 
     def colour(self, choice: Colouring) -> None:
         """Colour them in another way."""
-        for k, node in enumerate(self._nodes):
+        for k, node in self._nodes.items():
             node.colors = self.colours(choice, k)
 
     def resize(self, size: float) -> None:
         """Make them larger or smaller."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.point_size = size
 
     def show(self, shown: bool) -> None:
         """Show or hide them."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             node.visible = shown
 
     def show_until(self, last: int) -> None:
@@ -245,9 +248,12 @@ class Views:
     """A small sphere a view; a click on it is told with the view."""
 
     def __init__(self, drawing: Drawing, clicked: Callable[[Any, int], None]) -> None:
-        self._drawing, self._shown = drawing, True
+        self._drawing, self._shown, self._last = drawing, True, len(drawing.order) - 1
+        self._nodes, self._markers = [], []
         mesh = ball(2)
-        self._nodes = []
+        # the sphere of a picture is to be looked into
+        has_picture = np.array([path is not None for path in drawing.content.images])
+        self._sizes = np.where(has_picture & (drawing.content.scene.d == 3), 0.5, 1.0)
         for k, part in enumerate(drawing.parts):
             if not len(part.views):
                 continue
@@ -257,7 +263,7 @@ class Views:
                 mesh.faces,
                 np.tile([1.0, 0.0, 0.0, 0.0], (len(part.views), 1)),
                 drawing.centers(k),
-                batched_scales=np.ones(len(part.views)),
+                batched_scales=self._sizes[part.views].astype(np.float32),
                 batched_colors=np.array(part.colour, dtype=np.uint8),
                 lod="off",
                 cast_shadow=False,
@@ -265,30 +271,39 @@ class Views:
             )
             node.on_click(lambda event, k=k: clicked(event.client, nearest_to_ray(drawing, k, event)))
             self._nodes.append((k, node))
-        self._marker = drawing.server.scene.add_icosphere(
-            "/moment", 1.8 * drawing.radius, _MARKER_COLOUR, cast_shadow=False, receive_shadow=False, opacity=0.8
-        )
+        for k in range(len(drawing.parts)):
+            name = drawing.node(k, "moment")
+            size = 1.8 * drawing.radius
+            self._markers.append(
+                drawing.server.scene.add_icosphere(
+                    name, size, _MARKER_COLOUR, cast_shadow=False, receive_shadow=False, opacity=0.8, visible=False
+                )
+            )
+        self._put_marker()
 
     def show(self, shown: bool) -> None:
         """Show or hide them."""
         self._shown = shown
         for _, node in self._nodes:
             node.visible = shown
-        self._marker.visible = shown
+        self._put_marker()
 
     def show_until(self, last: int) -> None:
         """Show those that have appeared."""
+        self._last = last
         for k, node in self._nodes:
-            seen = self._drawing.rank[self._drawing.parts[k].views] <= last
-            node.batched_scales = np.where(seen, 1.0, _GONE).astype(np.float32)
-        self.put_marker(last)
+            views = self._drawing.parts[k].views
+            seen = self._drawing.rank[views] <= last
+            node.batched_scales = np.where(seen, self._sizes[views], _GONE).astype(np.float32)
+        self._put_marker()
 
-    def put_marker(self, last: int) -> None:
-        """Put the marker where the camera is at a moment."""
-        view = int(self._drawing.order[last])
-        self._marker.position = (
-            self._drawing.shown_center(view) + self._drawing.parts[self._drawing.part_of(view)].offset
-        )
+    def _put_marker(self) -> None:
+        """Mark where the camera is at the moment."""
+        view = int(self._drawing.order[self._last])
+        inside = self._drawing.part_of(view)
+        for k, marker in enumerate(self._markers):
+            marker.visible = self._shown and k == inside
+        self._markers[inside].position = self._drawing.shown_center(view)
 
 
 def nearest_to_ray(drawing: Drawing, part: int, event: Any) -> int:
@@ -476,8 +491,8 @@ class Ellipsoids:
             found.turn,
             part.shown(places[found.members]),
             batched_scales=shown_axes(found.half, self.factor, _LONGEST).astype(np.float32),
-            batched_colors=np.array((120, 60, 200) if is_view else (240, 150, 30), dtype=np.uint8),
-            opacity=0.35,
+            batched_colors=np.array((110, 40, 200) if is_view else (225, 110, 0), dtype=np.uint8),
+            opacity=0.45,
             lod="off",
             cast_shadow=False,
             receive_shadow=False,

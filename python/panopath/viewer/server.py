@@ -50,7 +50,6 @@ class Viewer:
         self.pictures = Pictures(drawing, self.enter, self._tell_failure)
         self.ellipsoids = Ellipsoids(drawing)
         arms.show(False)
-        views.put_marker(len(drawing.order) - 1)
         # moving bodies, once there are any, join this list
         layers: list[Layer] = [points, line, views, arms, self.pictures, self.ellipsoids]
         panel = Panel(drawing, self.enter)
@@ -80,7 +79,8 @@ class Viewer:
         width = REACH + float(np.ptp(places[:, 0])) / 2.0
         start = self.server.initial_camera
         start.position = middle + width * np.array([-0.3, -1.25, 0.9])
-        start.look_at = middle
+        # the panel stands over the right of the page
+        start.look_at = middle + width * np.array([0.15, 0.0, 0.0])
         start.up = (0.0, 0.0, 1.0)
 
     @property
@@ -112,6 +112,11 @@ class Viewer:
             client.add_notification("Panoramas on spheres", text, auto_close_seconds=8.0)
 
     def _set_apart(self, apart: bool) -> None:
+        with self._visits_lock:
+            visits = list(self._visits.values())
+        for visit in visits:
+            # a picture stays where it was put
+            visit.leave()
         with self.server.atomic():
             for frame, part in zip(self._frames, parts_of(self.content.scene, apart=apart), strict=True):
                 frame.position = part.offset
