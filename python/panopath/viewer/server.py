@@ -46,14 +46,15 @@ class Viewer:
             server.scene.add_frame(f"/parts/{k}", show_axes=False, position=part.offset) for k, part in enumerate(parts)
         ]
         self._aim(parts)
-        points, views, line, arms = Points(drawing), Views(drawing, self.enter), path(drawing), axes(drawing)
+        self.points = points = Points(drawing)
+        views, line, arms = Views(drawing, self.enter), path(drawing), axes(drawing)
         self.pictures = Pictures(drawing, self.enter, self._tell_failure)
         self.ellipsoids = Ellipsoids(drawing)
         arms.show(False)
         # moving bodies, once there are any, join this list
-        layers: list[Layer] = [points, line, views, arms, self.pictures, self.ellipsoids]
+        self.layers: list[Layer] = [points, line, views, arms, self.pictures, self.ellipsoids]
         panel = Panel(drawing, self.enter)
-        panel.time(layers)
+        panel.time(self.layers)
         panel.points(points)
         shown: dict[str, tuple[Layer, bool]] = {
             "Points": (points, True),

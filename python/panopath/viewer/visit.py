@@ -118,6 +118,11 @@ class Visit:
             self._before, self.view = None, None
             self._show(False)
 
+    def draw_over(self, over: bool) -> None:
+        """Draw the scene over the picture, or the picture alone."""
+        self._over.value = over
+        self._resize()
+
     def step(self, by: int) -> None:
         """Go on to the next view that has a panorama, or back to the one before."""
         if self.view is None:
