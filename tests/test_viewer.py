@@ -23,6 +23,7 @@ import pytest
 from conftest import scene_of
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
 from panopath.cli import main
+from panopath.formats.colours import sampled
 from panopath.formats.csv import quaternion_from_rotation, rotation_from_quaternion
 from panopath.images import encoded, read_image
 from panopath.viewer import Viewer, view
@@ -539,15 +540,22 @@ def test_panorama_lies_about_its_centre_as_it_was_taken(shown: tuple[Viewer, Pag
         seen = client.get_render(
             size, size, wxyz=quaternion_from_rotation((world @ turn)[None])[0], position=center, fov=fov, timeout=60.0
         )
-        pixel = equirectangular_from_bearings(ray @ turn.T, picture.shape[1], picture.shape[0])
-        column, row = np.floor(pixel).astype(int).T
-        expected = picture[np.clip(row, 0, picture.shape[0] - 1), column % picture.shape[1]].astype(float)
-        got = seen[:, :, :3].reshape(-1, 3).astype(float)
-        assert np.abs(got - expected).mean() < 8.0
-        assert np.corrcoef(got.ravel(), expected.ravel())[0, 1] > 0.97
+        expected = sampled(picture, ray @ turn.T).reshape(size, size, 3)
+        # viser deepens the contrast of all that it draws, so likeness is what can be asked for; a shift would lower it
+        likeness = {
+            shift: alike(np.roll(seen[:, :, :3], shift, axis=(0, 1)), expected)
+            for shift in ((0, 0), (0, 2), (0, -2), (2, 0), (-2, 0))
+        }
+        assert likeness[0, 0] > 0.97
+        assert max(likeness, key=lambda shift: likeness[shift]) == (0, 0)
     visit.draw_over(True)
     visit.leave()
     assert page.errors == []
+
+
+def alike(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> float:
+    """Correlation of the inner parts of two pictures."""
+    return float(np.corrcoef(first[4:-4, 4:-4].ravel(), second[4:-4, 4:-4].ravel())[0, 1])
 
 
 def about(axis: int, angle_deg: float) -> Float:

@@ -15,10 +15,11 @@ from panopath.viewer.shapes import Mesh
 
 _FLOAT, _UINT = 5126, 5125
 _ARRAY, _ELEMENTS = 34962, 34963
+_LINEAR, _SMALLER_COPIES, _CLAMP = 9729, 9987, 33071
 _JSON, _BINARY = b"JSON", b"BIN\0"
 
 
-def textured(mesh: Mesh, jpeg: bytes) -> bytes:
+def textured(mesh: Mesh, jpeg: bytes, *, is_small: bool = False) -> bytes:
     """Write a mesh that has texture coordinates; its far sides are not shown.
 
     Parameters
@@ -27,6 +28,9 @@ def textured(mesh: Mesh, jpeg: bytes) -> bytes:
         What is shown.
     jpeg
         The picture, as the bytes of a JPEG file; ``uv`` counts from its upper left corner.
+    is_small
+        Whether it is shown smaller than it is. Only then are smaller copies of it used: at the poles of a panorama,
+        which are drawn out along its rows, they would blur it.
     """
     if mesh.uv is None:
         raise ValueError("the mesh has no texture coordinates")
@@ -54,8 +58,11 @@ def textured(mesh: Mesh, jpeg: bytes) -> bytes:
             }
         ],
         "textures": [{"source": 0, "sampler": 0}],
-        # linear, with smaller copies; the seam has corners of its own, so nothing wraps
-        "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        # the seam has corners of its own, so nothing wraps
+        "samplers": [
+            {"magFilter": _LINEAR, "minFilter": _SMALLER_COPIES if is_small else _LINEAR}
+            | {"wrapS": _CLAMP, "wrapT": _CLAMP}
+        ],
         "images": [{"bufferView": 3, "mimeType": "image/jpeg"}],
         "accessors": [
             {"bufferView": 0, "componentType": _FLOAT, "count": len(arrays[0]), "type": "VEC3"}

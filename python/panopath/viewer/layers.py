@@ -23,7 +23,6 @@ from panopath.viewer.shapes import (
     REACH,
     Colours,
     Ids,
-    Mesh,
     Part,
     ball,
     ellipsoids,
@@ -365,7 +364,11 @@ class Pictures:
                 return
             with self._lock:
                 node = add_panorama(
-                    self._drawing, self._drawing.server.scene, self.name(view), view, sphere=sphere, jpeg=jpeg
+                    self._drawing,
+                    self._drawing.server.scene,
+                    self.name(view),
+                    view,
+                    textured(sphere, jpeg, is_small=True),
                 )
                 node.scale = 2.5 * self._drawing.radius
                 node.visible = self._visible(view)
@@ -388,11 +391,11 @@ class Pictures:
                 node.visible = self._visible(view)
 
 
-def add_panorama(drawing: Drawing, scene: Any, name: str, view: int, *, sphere: Mesh, jpeg: bytes) -> Any:
+def add_panorama(drawing: Drawing, scene: Any, name: str, view: int, glb: bytes) -> Any:
     """Add a view's panorama on a unit sphere about its centre, turned as the camera was."""
     return scene.add_glb(
         name,
-        textured(sphere, jpeg),
+        glb,
         wxyz=quaternion_from_rotation(world_from_cam(drawing.content.scene)[[view]])[0],
         position=drawing.shown_center(view),
         cast_shadow=False,

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from panopath.model import Float, InputError
+from panopath.viewer.glb import textured
 from panopath.viewer.layers import Drawing, Pictures, add_panorama
 from panopath.viewer.shapes import panorama_sphere
 
@@ -91,7 +92,7 @@ class Visit:
         forward = self._forward(view)
         client.camera.max_orbit_distance = max(self._before[5], 1.0)
         self._fly(center, center + forward, np.radians(self._fov.value))
-        self._sphere = add_panorama(drawing, client.scene, "/panorama", view, sphere=panorama_sphere(), jpeg=jpeg)
+        self._sphere = add_panorama(drawing, client.scene, "/panorama", view, textured(panorama_sphere(), jpeg))
         self._sphere.position = center
         if self._pictures.has(view):
             # a node of the same name, for this browser only, stands before the one that all share
