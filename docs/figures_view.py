@@ -292,9 +292,14 @@ class Page:
           const box = (input || found).getBoundingClientRect();
           return [box.left + box.width / 2, box.top + box.height / 2];
         }})()"""
-        place = self.evaluate(script)
-        if place is None:
-            raise LookupError(f"the page does not say {text!r}")
+        place, before = self.evaluate(script), None
+        deadline = time.monotonic() + 30.0
+        # the panel may still be rearranging itself
+        while place is None or place != before:
+            if time.monotonic() > deadline:
+                raise LookupError(f"the page does not say {text!r}, or does not come to rest")
+            time.sleep(0.3)
+            place, before = self.evaluate(script), place
         self.click(*place)
 
     def screenshot(self) -> bytes:

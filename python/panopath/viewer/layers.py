@@ -249,7 +249,8 @@ class Views:
     def __init__(self, drawing: Drawing, clicked: Callable[[Any, int], None]) -> None:
         self._drawing, self._shown, self._last = drawing, True, len(drawing.order) - 1
         self._nodes, self._markers = [], []
-        mesh = ball(2)
+        # thousands of round spheres are too much to draw smoothly
+        mesh = ball(2 if len(drawing.order) <= 200 else 1 if len(drawing.order) <= 1000 else 0)
         # the sphere of a picture is to be looked into
         has_picture = np.array([path is not None for path in drawing.content.images])
         self._sizes = np.where(has_picture & (drawing.content.scene.d == 3), 0.5, 1.0)
@@ -361,7 +362,7 @@ class Pictures:
                 jpeg = self._drawing.content.panorama(view, _PICTURE_PX)
             except InputError as error:
                 self._failed(str(error))
-                return
+                continue
             with self._lock:
                 node = add_panorama(
                     self._drawing,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any, get_args
 
@@ -11,6 +11,8 @@ import numpy as np
 from panopath.viewer.layers import Colouring, Drawing, Ellipsoids, Layer, Points
 
 _BADGES = {"determined": "#2c964a", "weak": "#c77d0a", "undetermined": "#c8282d"}
+#: Notes that are shown.
+_MOST_NOTES = 3
 _LEGEND = {
     "pictures": "as the panoramas show them",
     "parts": "a colour a part",
@@ -19,7 +21,7 @@ _LEGEND = {
 }
 
 
-def verdict_html(drawing: Drawing) -> str:
+def verdict_html(drawing: Drawing, notes: Sequence[str] = ()) -> str:
     """Tell what is certain of the scene. Names are other people's text: all of it is escaped."""
     content = drawing.content
     summary, certificate = content.scene.summary, content.certificate
@@ -43,7 +45,7 @@ def verdict_html(drawing: Drawing) -> str:
     if np.isfinite(summary.sigma_rad):
         numbers += f", noise {np.degrees(summary.sigma_rad):.2g} degrees"
     lines.append(numbers)
-    lines += [escape(note) for note in content.notes]
+    lines += [escape(note) for note in (*content.notes, *notes)]
     return _block(lines)
 
 
@@ -58,7 +60,14 @@ class Panel:
     def __init__(self, drawing: Drawing, enter: Callable[[Any, int], None]) -> None:
         self._drawing, self._enter = drawing, enter
         self._gui = drawing.server.gui
-        self.verdict = self._gui.add_html(verdict_html(drawing))
+        self._notes: list[str] = []
+        self._verdict = self._gui.add_html(verdict_html(drawing))
+
+    def tell(self, note: str) -> None:
+        """Add what a person should know; of many such things the first few."""
+        self._notes.append(note)
+        if len(self._notes) <= _MOST_NOTES:
+            self._verdict.content = verdict_html(self._drawing, self._notes)
 
     def time(self, layers: list[Layer]) -> None:
         """Add the slider over the views, and the button that enters one."""

@@ -48,12 +48,12 @@ class Viewer:
         self._aim(parts)
         self.points = points = Points(drawing)
         views, line, arms = Views(drawing, self.enter), path(drawing), axes(drawing)
-        self.pictures = Pictures(drawing, self.enter, self._tell_failure)
+        panel = Panel(drawing, self.enter)
+        self.pictures = Pictures(drawing, self.enter, panel.tell)
         self.ellipsoids = Ellipsoids(drawing)
         arms.show(False)
         # moving bodies, once there are any, join this list
         self.layers: list[Layer] = [points, line, views, arms, self.pictures, self.ellipsoids]
-        panel = Panel(drawing, self.enter)
         panel.time(self.layers)
         panel.points(points)
         shown: dict[str, tuple[Layer, bool]] = {
@@ -107,10 +107,6 @@ class Viewer:
     def _part_from(self, client: Any) -> None:
         with self._visits_lock:
             self._visits.pop(client.client_id, None)
-
-    def _tell_failure(self, text: str) -> None:
-        for client in self.server.get_clients().values():
-            client.add_notification("Panoramas on spheres", text, auto_close_seconds=8.0)
 
     def _set_apart(self, apart: bool) -> None:
         with self._visits_lock:
