@@ -40,8 +40,9 @@ def verdict_html(drawing: Drawing, notes: Sequence[str] = ()) -> str:
         lines += [escape(str(cause.get("sentence", ""))) for cause in certificate.get("causes", [])[:4]]
     else:
         lines.append("No certificate: <code>panopath check FOLDER</code> judges the scene.")
-    numbers = f"{summary.n_solved_views:,} of {len(content.scene.centers):,} views, "
-    numbers += f"{summary.n_solved_points:,} of {len(content.scene.points):,} points"
+    solved = [int(np.isfinite(place).all(axis=1).sum()) for place in (content.scene.centers, content.scene.points)]
+    numbers = f"{solved[0]:,} of {len(content.scene.centers):,} views, "
+    numbers += f"{solved[1]:,} of {len(content.scene.points):,} points"
     if np.isfinite(summary.sigma_rad):
         numbers += f", noise {np.degrees(summary.sigma_rad):.2g} degrees"
     lines.append(numbers)
