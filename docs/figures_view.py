@@ -49,26 +49,26 @@ def main() -> None:
     folder = Path(__file__).parent / "img" / "view"
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
-        scene = write_walk(Path(place) / "walk", n_frames=240, every=10, width_px=2048, n_points=3000)
+        scene = write_walk(Path(place) / "walk", n_frames=240, every=10, width_px=2048, n_points=9000)
         with opened(scene) as (viewer, page):
             draw_walk(viewer, page, folder)
         parts = write_parts(Path(place) / "parts")
         with opened(parts) as (_, page):
-            save(page, folder / "parts.png")
-    for picture in sorted(folder.glob("*.png")):
+            save(page, folder / "parts.jpg")
+    for picture in sorted(folder.glob("*.jpg")):
         print(picture.name, f"{picture.stat().st_size / 1000:.0f} kB")
 
 
 def draw_walk(viewer: Viewer, page: Page, folder: Path) -> None:
     viewer.pictures.wait()
-    save(page, folder / "scene.png")
+    save(page, folder / "scene.jpg")
     client = next(iter(viewer.server.get_clients().values()))
     viewer.enter(client, int(viewer.drawing.order[8]))
-    save(page, folder / "inside.png")
+    save(page, folder / "inside.jpg")
     viewer.visit(client).leave()
     page.click_text("Ellipsoids")
     page.wait_for("document.body.innerText.includes('One standard deviation')")
-    save(page, folder / "uncertainty.png")
+    save(page, folder / "uncertainty.jpg")
 
 
 def save(page: Page, path: Path) -> None:
@@ -76,7 +76,7 @@ def save(page: Page, path: Path) -> None:
     # the browser's remark that it draws without a graphics chip
     page.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach((b) => b.click())")
     time.sleep(1.0)
-    path.write_bytes(page.screenshot())
+    path.write_bytes(page.screenshot("jpeg"))
 
 
 def write_walk(
@@ -302,9 +302,10 @@ class Page:
             place, before = self.evaluate(script), place
         self.click(*place)
 
-    def screenshot(self) -> bytes:
-        """PNG of what is seen."""
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+    def screenshot(self, kind: str = "png") -> bytes:
+        """Picture of what is seen, as a file."""
+        options: dict[str, Any] = {"format": kind} if kind == "png" else {"format": kind, "quality": 82}
+        return base64.b64decode(self.call("Page.captureScreenshot", **options)["data"])
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ class Viewer:
         """Where the camera starts: from the south and above, all parts in sight."""
         places = np.array([part.offset for part in parts])
         middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
-        width = REACH + float(np.ptp(places[:, 0])) / 2.0
+        width = REACH + 0.4 * float(np.ptp(places[:, 0]))
         start = self.server.initial_camera
         start.position = middle + width * np.array([-0.3, -1.25, 0.9])
         # the panel stands over the right of the page

@@ -35,7 +35,7 @@ class Visit:
         self._drawing, self._pictures, self._client = drawing, pictures, client
         self._lock = threading.Lock()
         self._sphere: Any = None
-        self._hidden: Any = None
+        self._hidden: list[Any] = []
         self._before: tuple[Float, Float, float, float, float, float] | None = None
         #: The view one stands in, None outside.
         self.view: int | None = None
@@ -94,9 +94,13 @@ class Visit:
         self._fly(center, center + forward, np.radians(self._fov.value))
         self._sphere = add_panorama(drawing, client.scene, "/panorama", view, textured(panorama_sphere(), jpeg))
         self._sphere.position = center
-        if self._pictures.has(view):
-            # a node of the same name, for this browser only, stands before the one that all share
-            self._hidden = client.scene.add_frame(self._pictures.name(view), show_axes=False, visible=False)
+        # spheres with pictures would bar the sight along the path; a node of the same name, for this browser only,
+        # stands before the one that all share
+        self._hidden = [
+            client.scene.add_frame(self._pictures.name(other), show_axes=False, visible=False)
+            for other in self._pictures.views
+            if self._pictures.has(other)
+        ]
         self.view = view
         self._resize()
         with client.atomic():
@@ -137,10 +141,10 @@ class Visit:
             place += by
 
     def _put_away(self) -> None:
-        for node in (self._sphere, self._hidden):
+        for node in (self._sphere, *self._hidden):
             if node is not None:
                 node.remove()
-        self._sphere = self._hidden = None
+        self._sphere, self._hidden = None, []
 
     def _forward(self, view: int) -> Float:
         """Give the camera's own forward direction, level; x where it looks up or down."""
