@@ -347,7 +347,7 @@ def test_folders_that_cannot_be_shown(turned: pp.SyntheticWorld, tmp_path: Path)
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(pp.InputError, match=f"port {port}: cannot be served at"):
+        with pytest.raises(pp.InputError, match=f"port {port}: is in use"):
             view(folder, port=port, block=False)
     (folder / "scene.ply").write_bytes(b"ply\nrubbish")
     assert "scene.ply cannot be read" in read_content(folder).notes[0]
@@ -411,11 +411,16 @@ def test_server_answers_and_leaves_nothing_behind(walked: Path, capsys: pytest.C
         assert viewer.url.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(viewer.url, timeout=10) as answer:
             assert answer.status == 200
-        with pytest.raises(pp.InputError, match="cannot be served at"):
+        with pytest.raises(pp.InputError, match="is in use; choose another port"):
             view(walked, port=viewer.server.get_port(), open_browser=False, block=False)
         viewer.pictures.wait(30.0)
         assert sorted(viewer.pictures.views) == list(range(6))
-        assert all(viewer.pictures.has(k) for k in range(6))
+        for k in range(6):
+            assert viewer.pictures.has(k)
+            node = viewer.server.scene.get_handle_by_name(viewer.pictures.name(k))
+            turn = rotation_from_quaternion(np.array([node.wxyz]))[0]
+            np.testing.assert_allclose(turn, viewer.content.scene.cam_from_world[k].T, atol=1e-9)
+            np.testing.assert_allclose(node.position, viewer.drawing.shown_center(k))
     viewer.close()
     assert not settled(before)
     with pytest.raises(OSError, match="refused"):
@@ -470,6 +475,33 @@ def test_any_scene_can_be_drawn(
             layer.show(False)
             layer.show(True)
             layer.show_until(len(drawing.order) - 1)
+
+
+@needs_viser
+def test_time_shows_what_there_was(walked: Path) -> None:
+    with view(walked, port=0, open_browser=False, block=False) as viewer:
+        viewer.pictures.wait(30.0)
+        node = viewer.server.scene.get_handle_by_name
+        viewer.ellipsoids.show(True)
+        pictures = [node(viewer.pictures.name(view)) for view in range(6)]
+        for last in (0, 2, 5, 3):
+            for layer in viewer.layers:
+                layer.show_until(last)
+            assert ((node("/parts/0/views").batched_scales > 0.1) == (np.arange(6) <= last)).all()
+            largest = node("/parts/0/uncertainty of views").batched_scales.max(axis=1)
+            assert ((largest > 1e-5) == (np.arange(6) <= last)).all()
+            assert [picture.visible for picture in pictures] == (np.arange(6) <= last).tolist()
+            assert node("/parts/0/path").visible == (last > 0)
+            assert last == 0 or len(node("/parts/0/path").points) == last
+            center = viewer.drawing.shown_center(int(viewer.drawing.order[last]))
+            np.testing.assert_allclose(node("/parts/0/moment").position, center)
+        # a layer that is hidden stays so, whatever the moment
+        for layer in viewer.layers:
+            layer.show(False)
+            layer.show_until(5)
+        assert not any(picture.visible for picture in pictures)
+        names = ("points", "path", "views", "axes", "moment", "uncertainty of views", "uncertainty of points")
+        assert not any(node(f"/parts/0/{name}").visible for name in names)
 
 
 @needs_viser

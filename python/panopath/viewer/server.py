@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import io
 import socket
@@ -20,6 +21,8 @@ from panopath.viewer.layers import Drawing, Ellipsoids, Layer, Pictures, Points,
 from panopath.viewer.panel import Panel
 from panopath.viewer.shapes import REACH, Part, parts_of
 from panopath.viewer.visit import Visit
+
+_IN_USE = "{host}, port {port}: is in use; choose another port, or 0 for a free one"
 
 
 class Viewer:
@@ -218,7 +221,9 @@ def _check_free(host: str, port: int) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
-        raise InputError(f"{host}, port {port}: cannot be served at ({error.strerror}); choose another port") from None
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(_IN_USE.format(host=host, port=port)) from None
+        raise InputError(f"{host}, port {port}: cannot be served at ({error.strerror})") from None
 
 
 def _started(viser: Any, host: str, port: int) -> Any:
@@ -227,5 +232,5 @@ def _started(viser: Any, host: str, port: int) -> Any:
         server = viser.ViserServer(host=host, port=port, label="panopath", verbose=False)
     if port and server.get_port() != port:
         server.stop()
-        raise InputError(f"{host}, port {port}: is in use; choose another port")
+        raise InputError(_IN_USE.format(host=host, port=port))
     return server
