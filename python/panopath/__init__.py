@@ -41,6 +41,7 @@ from panopath.model import (
 )
 from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
+from panopath.run import Reconstructed, RunOptions, reconstruct
 from panopath.steps import (
     CertifyOptions,
     ConsistencyOptions,
@@ -114,11 +115,13 @@ __all__ = [
     "Priors",
     "Problem",
     "ReconstructOptions",
+    "Reconstructed",
     "Reconstruction",
     "RefineOptions",
     "RequiredVisibility",
     "Rig",
     "RotationPriors",
+    "RunOptions",
     "Scene",
     "SceneCovariance",
     "Status",
@@ -156,6 +159,7 @@ __all__ = [
     "read_scene",
     "read_tracks",
     "read_truth",
+    "reconstruct",
     "reconstruct_tracks",
     "refine",
     "relative_pose",

@@ -90,7 +90,11 @@ class MappedDatabase:
 
 
 def map_database(
-    database: Database, options: MapOptions | None = None, report: Callable[[str], None] | None = None
+    database: Database,
+    options: MapOptions | None = None,
+    report: Callable[[str], None] | None = None,
+    *,
+    oriented: ViewOrientations | None = None,
 ) -> MappedDatabase:
     """Orient and place all images of a database, and find the points that they see.
 
@@ -102,11 +106,13 @@ def map_database(
         Choices.
     report
         Called with a line of text whenever a stage begins.
+    oriented
+        Orientations of the frames, about right (to some degrees); default: from the matches.
 
     Raises
     ------
     InputError
-        Where no pair of images has enough matches.
+        Where no pair of images has enough matches, or orientations are not those of the frames.
     """
     chosen = MapOptions() if options is None else options
     for name, value, kind in (("database", database, Database), ("options", chosen, MapOptions)):
@@ -115,9 +121,12 @@ def map_database(
     say = report or (lambda _: None)
     views = _Views.of(database)
     matches = _Matches.of(database, chosen)
-    say(f"orienting {database.n_frames} views by {len(matches.pair)} pairs")
     priors = _priors(database, chosen)
-    oriented = _orient(database.n_frames, views, matches, priors, chosen)
+    if oriented is None:
+        say(f"orienting {database.n_frames} views by {len(matches.pair)} pairs")
+        oriented = _orient(database.n_frames, views, matches, priors, chosen)
+    elif oriented.cam_from_world.shape != (database.n_frames, 3, 3):
+        raise InputError(f"oriented has shape {oriented.cam_from_world.shape}, expected ({database.n_frames}, 3, 3)")
     say("joining matches to tracks")
     judged = matches.select(_agree_with_orientations(views, matches, oriented, chosen))
     features = _join(database, judged, chosen)
@@ -135,7 +144,10 @@ def map_database(
     if chosen.retriangulate:
         say("judging matches again, refining")
         features, scene = _second_pass(database, views, matches, (features, scene), refinement, chosen)
-    return MappedDatabase(scene, _reconstruction(database, features, scene))
+    found = _reconstruction(database, features, scene)
+    # a frame is called by its first image
+    namesakes = np.unique(database.image_frame, return_index=True)[1].tolist()
+    return MappedDatabase(replace(scene, view_names=tuple(database.image_names[i] for i in namesakes)), found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,12 @@ pub fn scale<const D: usize>(s: f64, a: &Vector<D>) -> Vector<D> {
     std::array::from_fn(|c| s * a[c])
 }
 
+/// Vector product.
+#[inline]
+pub fn cross(a: &Vector<3>, b: &Vector<3>) -> Vector<3> {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
 /// Euclidean length.
 #[inline(always)]
 pub fn norm<const D: usize>(a: &Vector<D>) -> f64 {

@@ -23,7 +23,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::geometry::{Matrix, Rotation, Vector, dot, norm, normalized, scale, sub};
+use crate::geometry::{Matrix, Rotation, Vector, cross, dot, norm, normalized, scale, sub};
 use crate::tracks::UNIT_TOLERANCE;
 
 mod degenerate;
@@ -639,7 +639,7 @@ fn in_first_frame(joint: &[[f64; 5]; 5], pose: &Pose, basis: &[Vector<3>; 2]) ->
     let rotation: Matrix<3> = std::array::from_fn(|r| std::array::from_fn(|c| joint[r][c]));
     // phi x s = -(s x phi): along the basis, t . (d s + s x phi)
     let along: [[f64; 5]; 2] = std::array::from_fn(|k| {
-        let turn = five_point::cross(&basis[k], &pose.baseline);
+        let turn = cross(&basis[k], &pose.baseline);
         [turn[0], turn[1], turn[2], f64::from(u8::from(k == 0)), f64::from(u8::from(k == 1))]
     });
     let tangent: [[f64; 2]; 2] =

@@ -62,13 +62,15 @@ fn dashes_of_the_street_are_where_the_projection_says() {
                 continue;
             }
             for (end, outwards) in [(from, -1.0), (to, 1.0)] {
-                // where the brightness between two plateaus would step if it stepped at once
+                // where the brightness is half way between that of the paint and that of the asphalt
                 let profile: Vec<f64> =
                     (-200..=200).map(|i| shown(end + 0.002 * f64::from(i) * outwards, 0.0)).collect();
-                let plateau =
-                    |range: std::ops::Range<usize>| profile[range.clone()].iter().sum::<f64>() / range.len() as f64;
+                let plateau = |range: std::ops::Range<usize>| median(profile[range].to_vec());
                 let (high, low) = (plateau(0..100), plateau(301..401));
-                let offset = 0.002 * (profile.iter().map(|v| (v - low) / (high - low)).sum::<f64>() - 200.5);
+                let half = 0.5 * (high + low);
+                let crossings = (0..400).filter(|&i| profile[i] >= half && profile[i + 1] < half);
+                let at = crossings.min_by_key(|i| i.abs_diff(200)).unwrap();
+                let offset = 0.002 * (at as f64 - 200.0 + (profile[at] - half) / (profile[at] - profile[at + 1]));
                 assert!(high - low > 15.0, "{high} {low}");
                 ends_px.push(outwards * offset / (range * delta));
             }
@@ -85,6 +87,7 @@ fn dashes_of_the_street_are_where_the_projection_says() {
             }
         }
     }
+
     assert!(ends_px.len() >= 8 && sides_px.len() >= 12, "{} {}", ends_px.len(), sides_px.len());
     let (ends, sides) = (median(ends_px), median(sides_px));
     assert!(ends.abs() < 0.1, "dashes are shifted by {ends} pixels along the street");
@@ -110,6 +113,63 @@ fn ranges_end_on_the_ground_and_on_houses() {
     }
     let n = ranges.len();
     assert!(ground > n / 4 && houses > n / 8 && sky > n / 8, "{ground} {houses} {sky} of {n}");
+}
+
+#[test]
+fn tiles_hide_nothing_that_is_seen() {
+    // middles of every third pixel are those of a frame of a third of the width, whose tiles are other parts of the sphere
+    for (rotation, path) in [(WalkRotation::Sway, WalkPath::Corner), (WalkRotation::Tumble, WalkPath::Loop)] {
+        let o = WalkOptions { rotation, path, n_movers: 4, ..options(1902) };
+        let (fine, coarse) = (walk(&o).unwrap(), walk(&WalkOptions { width_px: 634, ..o }).unwrap());
+        for k in [3, 20, 33] {
+            let (a, b) = (render_ranges(&fine, k).unwrap(), render_ranges(&coarse, k).unwrap());
+            let pairs = b.iter().enumerate().map(|(i, &b)| (a[1902 * (3 * (i / 634) + 1) + 3 * (i % 634) + 1], b));
+            // posts and crowns have other shares of larger pixels: their outlines differ, a tile never does
+            let differ: Vec<bool> = pairs.map(|(a, b)| a != b && !((a - b).abs() < 1e-4 * b)).collect();
+            assert!(differ.iter().filter(|&&d| d).count() < differ.len() / 100);
+            let solid = |i: usize| (0..5).all(|row| (0..5).all(|column| differ[i + 634 * row + column]));
+            assert!((0..differ.len() - 5 * 634).filter(|i| i % 634 < 629).all(|i| !solid(i)));
+        }
+    }
+}
+
+#[test]
+fn places_that_are_built_alike_do_not_look_alike() {
+    // patches of the pavement and of walls are compared with others a slab, a window or a bay further on
+    let street = walk(&options(1024)).unwrap();
+    let (frame, ranges) = (render_frame(&street, 20).unwrap(), render_ranges(&street, 20).unwrap());
+    let patch = |at: &Vector<3>, axes: [usize; 2], size: f64| -> Option<Vec<f64>> {
+        let mut values = Vec::new();
+        for i in 0..144 {
+            let mut point = *at;
+            point[axes[0]] += size * (f64::from(i % 12) - 5.5) / 12.0;
+            point[axes[1]] += size * (f64::from(i / 12) - 5.5) / 12.0;
+            let pixel = pixel_of(&street, 20, &point);
+            let range = norm(&sub(&point, &street.centers[20]));
+            if (range_at(&street, &ranges, pixel) / range - 1.0).abs() > 0.03 {
+                return None;
+            }
+            values.push(brightness(&street, &frame, pixel));
+        }
+        let mean = values.iter().sum::<f64>() / 144.0;
+        values.iter_mut().for_each(|v| *v -= mean);
+        let length = values.iter().map(|v| v * v).sum::<f64>().sqrt();
+        (length > 24.0).then(|| values.iter().map(|v| v / length).collect())
+    };
+    let [x, y, _] = street.centers[20];
+    let ground = (0..30).map(|i| ([x - 3.0 + 0.2 * f64::from(i), y, 0.0], [0, 1], 0.7));
+    let wall = (0..30).map(|i| ([x - 6.0 + 0.4 * f64::from(i), 8.0, 5.0], [0, 2], 1.5));
+    for (name, places) in [("ground", ground.collect::<Vec<_>>()), ("wall", wall.collect())] {
+        let patches: Vec<_> = places.iter().filter_map(|(at, axes, size)| patch(at, *axes, *size)).collect();
+        assert!(patches.len() > 10, "{} patches of {name}", patches.len());
+        let mut alike = Vec::new();
+        for (i, a) in patches.iter().enumerate() {
+            // neighbours share a part of what they show
+            alike.extend(patches.iter().skip(i + 4).map(|b| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>()));
+        }
+        let most = alike.iter().copied().fold(-1.0, f64::max);
+        assert!(most < 0.9, "two patches of {name} correlate by {most}");
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@ from panopath.cli.check import check
 from panopath.cli.demo import demo
 from panopath.cli.evaluate import evaluate_command
 from panopath.cli.map import map_command
+from panopath.cli.reconstruct import reconstruct_command
 from panopath.cli.simulate import simulate_command
 from panopath.cli.solve import solve
 from panopath.cli.view import view_command
@@ -15,6 +16,7 @@ __all__ = ["app", "main"]
 
 #: In the order in which the help lists them.
 _COMMANDS: dict[str, Callable[..., None]] = {
+    "reconstruct": reconstruct_command,
     "solve": solve,
     "map": map_command,
     "check": check,

@@ -28,7 +28,13 @@ EXIT_INPUT = 2
 EXIT_UNDETERMINED = 3
 
 
-EXIT_HELP = "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene."
+#: What shells expect of a program that Ctrl-C stopped.
+EXIT_INTERRUPTED = 130
+
+
+EXIT_HELP = (
+    "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene; 130 interrupted."
+)
 
 
 app = typer.Typer(
@@ -72,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stdout.write(json.dumps({"error": line}) + "\n")
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"panopath: {line}", markup=False)
         sys.exit(EXIT_INPUT)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:
         # whoever read our output has seen enough; keep the interpreter from complaining when it closes the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -107,6 +115,11 @@ class Terminal:
     def warn(self, text: str) -> None:
         """Say something that a person should know, on standard error."""
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"panopath: {text}", markup=False)
+
+    def note(self, text: str) -> None:
+        """Say something on the way, on standard error."""
+        if not (self.quiet or self.as_json):
+            Console(stderr=True, highlight=False, soft_wrap=True).print(text, markup=False)
 
     def answer(self, plain: dict[str, Any], show: Callable[[Console], None]) -> None:
         """Give the answer: as JSON, or as ``show`` prints it, or not at all."""

@@ -56,6 +56,7 @@ def write_scene(
     extra: Callable[[Path], None] | None = None,
     certificate: Certificate | None = None,
     colours: npt.NDArray[np.uint8] | None = None,
+    panorama_width_px: int = 4096,
 ) -> Path:
     """Write a scene in every form: see the module's text for the files.
 
@@ -77,6 +78,8 @@ def write_scene(
         What is certain of the scene; becomes part of ``scene.json``.
     colours
         (n_tracks, 3) red, green and blue of the points, uint8; default: by error in the PLY, grey in COLMAP models.
+    panorama_width_px
+        Of the EQUIRECTANGULAR camera of COLMAP models: that of the pictures, where there are some.
 
     Returns
     -------
@@ -101,7 +104,7 @@ def write_scene(
     except OSError as error:
         raise InputError(f"{place}: cannot be written ({error.strerror})") from None
     try:
-        _write_files(scene, staged, colours)
+        _write_files(scene, staged, colours, panorama_width_px)
         if extra is not None:
             extra(staged)
         names = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if path.is_file())
@@ -154,15 +157,7 @@ def read_scene(folder: str | PathLike[str]) -> Scene:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        summary = _summary(mark["summary"])
-        tracks = _tracks(arrays)
-        return Scene(
-            **{name: arrays[name] for name in _SCENE_ARRAYS},
-            summary=summary,
-            tracks=tracks,
-            view_names=_names(arrays, "view_names"),
-            track_names=_names(arrays, "track_names"),
-        )
+        return scene_of_arrays(arrays, summary_of(mark["summary"]))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
@@ -284,18 +279,20 @@ def _umask() -> int:
     return mask
 
 
-def _write_files(scene: Scene, folder: Path, colours: npt.NDArray[np.uint8] | None) -> None:
-    _write_npz(scene, folder / "scene.npz")
+def _write_files(scene: Scene, folder: Path, colours: npt.NDArray[np.uint8] | None, width_px: int) -> None:
+    np.savez(folder / "scene.npz", allow_pickle=False, **scene_arrays(scene))
     (folder / "cameras.csv").write_bytes(_cameras_csv(scene))
     (folder / "points.csv").write_bytes(_points_csv(scene))
     (folder / "scene.ply").write_bytes(ply_bytes(scene, colours))
     (folder / "trajectory.tum").write_text(tum_text(scene), encoding="utf-8")
     if scene.d == 3 and scene.tracks is not None:
         for component in range(scene.n_components):
-            write_colmap(scene, scene.tracks, folder / "colmap" / str(component), component, colours=colours)
+            model = folder / "colmap" / str(component)
+            write_colmap(scene, scene.tracks, model, component, width_px, colours=colours)
 
 
-def _write_npz(scene: Scene, path: Path) -> None:
+def scene_arrays(scene: Scene) -> dict[str, npt.NDArray[Any]]:
+    """All of a scene but its summary, as named arrays without objects."""
     arrays: dict[str, Any] = {name: getattr(scene, name) for name in _SCENE_ARRAYS}
     for kind in ("view_names", "track_names"):
         names = getattr(scene, kind)
@@ -310,7 +307,24 @@ def _write_npz(scene: Scene, path: Path) -> None:
             for name, value in (("sigma_rad", tracks.sigma_rad), ("time_s", tracks.time_s))
             if value is not None
         }
-    np.savez(path, **arrays)
+    return arrays
+
+
+def scene_of_arrays(arrays: dict[str, Any], summary: Summary) -> Scene:
+    """Make a scene again of its arrays.
+
+    Raises
+    ------
+    KeyError
+        Where an array is absent.
+    """
+    return Scene(
+        **{name: arrays[name] for name in _SCENE_ARRAYS},
+        summary=summary,
+        tracks=_tracks(arrays),
+        view_names=_names(arrays, "view_names"),
+        track_names=_names(arrays, "track_names"),
+    )
 
 
 def _names(arrays: dict[str, Any], kind: str) -> tuple[str, ...] | None:
@@ -333,7 +347,8 @@ def _tracks(arrays: dict[str, Any]) -> Tracks | None:
     )
 
 
-def _summary(plain: dict[str, Any]) -> Summary:
+def summary_of(plain: dict[str, Any]) -> Summary:
+    """Make a summary again of the plain values of :func:`panopath.model.summary_dict`."""
     fields = dict(plain)
     fields["status"] = Status(fields["status"])
     fields["sigma_rad"] = float("nan") if fields["sigma_rad"] is None else fields["sigma_rad"]

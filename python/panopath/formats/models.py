@@ -91,7 +91,13 @@ class Reconstruction:
         return cls(*(read_only(np.ascontiguousarray(array)) for array in arrays))
 
 
-def write_models(database: Database, found: Reconstruction, folder: str | PathLike[str]) -> list[Path]:
+def write_models(
+    database: Database,
+    found: Reconstruction,
+    folder: str | PathLike[str],
+    *,
+    colours: npt.NDArray[np.uint8] | None = None,
+) -> list[Path]:
     """Write a binary COLMAP model of each component, the one with most images first: ``folder/0``, ``folder/1`` ...
 
     Cameras, ids, names and pixels are the database's own; every image has all its features. A point is written with the
@@ -108,6 +114,8 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
     folder
         Where to write; models in numbered folders are replaced, those of more components than now removed; other
         files stay.
+    colours
+        (n_points, 3) red, green and blue of the points; default: grey.
 
     Returns
     -------
@@ -132,7 +140,7 @@ def write_models(database: Database, found: Reconstruction, folder: str | PathLi
             np.flatnonzero(used & (point_component[found.point] == part)),
         )
         path = Path(folder) / str(place)
-        _write_part(database, found, path, images, rows, error_px=error_px)
+        _write_part(database, found, path, images, rows, error_px=error_px, colours=colours)
         written.append(path)
     _remove_models_beyond(Path(folder), len(written))
     return written
@@ -215,7 +223,14 @@ def _errors_px(database: Database, found: Reconstruction, used: Bool) -> Float:
 
 
 def _write_part(
-    database: Database, found: Reconstruction, folder: Path, images: Index, rows: Index, *, error_px: Float
+    database: Database,
+    found: Reconstruction,
+    folder: Path,
+    images: Index,
+    rows: Index,
+    *,
+    error_px: Float,
+    colours: npt.NDArray[np.uint8] | None,
 ) -> None:
     """Write one component: its images, and the observations ``rows``."""
     rows = rows[np.lexsort((found.image[rows], found.point[rows]))]
@@ -237,7 +252,7 @@ def _write_part(
     points = ModelPoints(
         point_id=ids.astype(np.uint64) + np.uint64(1),
         positions=found.points[ids],
-        color=None,
+        color=None if colours is None else colours[ids],
         error_px=_means(error_px[rows], np.repeat(np.arange(len(ids)), counts), len(ids)),
         starts=np.append(begins, len(rows)),
         elements=np.stack((database.image_id[found.image[rows]].astype(np.int64), found.feature[rows]), axis=1),

@@ -41,6 +41,11 @@ _WORDS, _TOLD_BY, _ROUNDS = 32, 500, 8
 _WIDEST_PX = 8.0
 #: Matches of the features that stand out most that a pose may rest on.
 _FEWEST = 12
+#: A direction of motion rests on at least so many matches with parallax, and on this share of all that have some. What
+#: is far away, clouds and hills, agrees with any direction, and along any direction a few wrong matches lie by chance.
+_FEWEST_NEAR, _SHARE_NEAR = 12, 0.3
+#: Standard deviations, and those assumed at least, in pixels, beyond which a match is no longer of something far away.
+_FAR_SIGMAS, _LEAST_SIGMA_PX = 4.0, 0.3
 #: The parallax allowed is so many times that of nearly all matches that are known, and between these, radians.
 _REACH, _LEAST_REACH_RAD, _MOST_REACH_RAD = 1.5, float(np.radians(3.0)), float(np.radians(75.0))
 
@@ -305,35 +310,46 @@ def _all_matches(
 ) -> ImageMatches:
     """Match all features of the pairs whose motion is known, where it allows."""
     pairs = np.concatenate([tried[known] for tried, _, _, known in rounds])
-    turn = np.concatenate([found.second_from_first[known] for _, found, _, known in rounds])
-    direction = np.concatenate([found.direction[known] for _, found, _, known in rounds])
-    reach = np.concatenate([_reach(table, tried, found, by)[known] for tried, found, by, known in rounds])
-    sigma = np.concatenate([found.sigma_rad[known] for _, found, _, known in rounds])
-    band = np.clip(4.0 * np.nan_to_num(sigma), options.band_px * pixel_rad, _WIDEST_PX * pixel_rad)
+    parts = [_guides(table, tried, found, by, pixel_rad, options) for tried, found, by, _ in rounds]
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     pairs = pairs[order]
-    guides = MotionGuides(turn[order], direction[order], reach[order], band[order])
-    found = table.match(pairs, MatchOptions(), guides)
+    turn, direction, reach, band = (
+        np.concatenate([part[known] for part, (*_, known) in zip(column, rounds, strict=True)])[order]
+        for column in zip(*parts, strict=True)
+    )
+    found = table.match(pairs, MatchOptions(), MotionGuides(turn, direction, reach, band))
     counts = np.diff(found.starts)
     keep = counts >= options.min_matches
     return ImageMatches(
         pairs=pairs[keep],
         starts=np.concatenate(([0], np.cumsum(counts[keep]))).astype(np.int64),
         matches=found.matches[np.repeat(keep, counts)],
-        second_from_first=turn[order][keep],
+        second_from_first=turn[keep],
         n_tried=n_tried,
     )
 
 
-def _reach(table: _Table, pairs: Int, found: TwoViews, matches: FeatureMatches) -> Float:
-    """(P,) parallax to look for, from that of the matches known to be true."""
+def _guides(  # noqa: PLR0917
+    table: _Table, pairs: Int, found: TwoViews, matches: FeatureMatches, pixel_rad: float, options: MatchingOptions
+) -> tuple[Float, Float, Float, Float]:
+    """Where to look for the other features of each pair: rotation, direction of motion, parallax, width of the band.
+
+    Where nothing but what is far away tells of the motion, only that is looked for.
+    """
     first, second = table.rays(pairs, matches)
     row = np.repeat(np.arange(len(pairs)), np.diff(matches.starts))
     turned = np.einsum("nij,nj->ni", found.second_from_first[row], first)
     parallax = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(turned - second, axis=1), 0.0, 1.0))
-    reach = np.zeros(len(pairs))
-    for p in range(len(pairs)):
+    sigma = np.nan_to_num(found.sigma_rad)
+    is_near = parallax > _FAR_SIGMAS * np.maximum(sigma, _LEAST_SIGMA_PX * pixel_rad)[row]
+    n_near = np.bincount(row[is_near & found.inlier], minlength=len(pairs))
+    n_parallax = np.bincount(row[is_near], minlength=len(pairs))
+    moved = np.isfinite(found.direction).all(axis=1)
+    moved &= (n_near >= _FEWEST_NEAR) & (n_near >= _SHARE_NEAR * n_parallax)
+    band = np.clip(4.0 * sigma, options.band_px * pixel_rad, _WIDEST_PX * pixel_rad)
+    reach = np.array(band)
+    for p in np.flatnonzero(moved).tolist():
         rows = slice(int(matches.starts[p]), int(matches.starts[p + 1]))
         true = parallax[rows][found.inlier[rows]]
-        reach[p] = _REACH * np.quantile(true, 0.98) if len(true) else 0.0
-    return np.clip(reach, _LEAST_REACH_RAD, _MOST_REACH_RAD)
+        reach[p] = np.clip(_REACH * np.quantile(true, 0.98), _LEAST_REACH_RAD, _MOST_REACH_RAD)
+    return found.second_from_first, np.where(moved[:, None], found.direction, np.nan), reach, band

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.cameras import bearings_from_equirectangular, bearings_from_pixels
+from panopath.checkpoints import Checkpoints, key_of
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.database import Database, database_of_features
 from panopath.frontend.extras import opencv
@@ -28,6 +29,7 @@ from panopath.frontend.features import FeatureOptions, Features, extract_feature
 from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
 from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
 from panopath.frontend.sources import Source, SourceKind
+from panopath.frontend.stored import Looked, Store, key_of_masks, key_of_source
 from panopath.frontend.video import (
     VideoKind,
     VideoMotion,
@@ -71,12 +73,13 @@ class FrontEndOptions:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture that was measured, as it passes by."""
+    """One picture that is measured, as it passes by."""
 
     index: int
     name: str
-    #: (height, width) at the working resolution; and red, green, blue where asked for.
+    #: (height, width) at the working resolution.
     gray: Gray
+    #: (height, width, 3) red, green, blue at full size, where asked for.
     color: Gray | None
     #: Seconds: of a video, from its start; of pictures, of the camera's clock; NaN where unknown.
     time_s: float
@@ -99,6 +102,8 @@ class Measured:
     empty: tuple[str, ...]
     #: Seconds of each stage.
     seconds: dict[str, float]
+    #: Of what this was made from, for checkpoints of what is made of it.
+    key: str
 
 
 def measure(
@@ -106,6 +111,7 @@ def measure(
     options: FrontEndOptions | None = None,
     *,
     masks: Path | None = None,
+    store: Checkpoints | None = None,
     report: Callable[[str, int, int], None] | None = None,
     each: Callable[[Picture], None] | None = None,
     color: bool = False,
@@ -120,12 +126,14 @@ def measure(
         Choices; default ``FrontEndOptions()``.
     masks
         A mask for all pictures, or a folder of masks named like them: no features where they are black.
+    store
+        Where to leave what was done, and to find what an earlier run has done.
     report
         Called with a stage, how many of its steps are done and how many there are (0: not known).
     each
-        Called with every picture that is measured, while it is in memory.
+        Called with every picture that is measured, while it is in memory; not with those found in ``store``.
     color
-        Whether ``each`` gets colours.
+        Whether ``each`` gets colours, and features have them.
 
     Raises
     ------
@@ -135,40 +143,34 @@ def measure(
     chosen = FrontEndOptions() if options is None else options
     say = report or (lambda _stage, _done, _of: None)
     seconds: dict[str, float] = {}
+    key = key_of_source(source)
     motion, keyframes = None, None
     if source.kind is SourceKind.VIDEO:
         begin = time.perf_counter()
-        motion = _moving(source, chosen, say)
+        key = key_of(key, chosen.video)
+        motion = _moving(source, chosen, Store(store, key), say)
         keyframes = choose_keyframes(motion, chosen.video)
         seconds["motion"] = time.perf_counter() - begin
     begin = time.perf_counter()
-    n = len(source.images) if keyframes is None else len(keyframes)
-    names, features, times = [], [], []
-    for picture, found in _in_parallel(
-        _pictures(source, keyframes, chosen.width, masks, color),
-        lambda one, mask: extract_features(one.gray, chosen.features, mask=mask, equirectangular=source.is_panoramic),
-    ):
-        features.append(found)
-        names.append(picture.name)
-        times.append(picture.time_s)
-        if each is not None:
-            each(picture)
-        say("features", picture.index + 1, n)
+    key = key_of(key, chosen.width, chosen.features, key_of_masks(masks), color)
+    looked = _look(_Look(source, keyframes, chosen, masks, color), Store(store, key), say, each)
     seconds["features"] = time.perf_counter() - begin
-    empty = tuple(name for name, found in zip(names, features, strict=True) if len(found) < _FEWEST)
+    features = [one.features for one in looked]
+    empty = tuple(one.name for one in looked if len(one.features) < _FEWEST)
     if len(features) - len(empty) < 2:
         raise InputError(
             f"{source.path}: {len(empty)} of {len(features)} pictures have no features (dark, blurred or "
             "without texture), expected at least two that have some"
         )
     begin = time.perf_counter()
-    say("matching", 0, 0)
     cameras, full_size, spans = _cameras(source, chosen.width)
-    camera_of = _camera_of(source, n)
+    camera_of = _camera_of(source, len(features))
     full = [
         _with_bearings(cameras[c], _scaled(found, full_size[c])) for found, c in zip(features, camera_of, strict=True)
     ]
-    matches = _match(source, full, cameras, spans, chosen)
+    key = key_of(key, chosen.matching, chosen.in_sequence)
+    say("matching", 0, 0)
+    matches = Store(store, key).matches(lambda: _match(source, full, cameras, spans, chosen))
     seconds["matching"] = time.perf_counter() - begin
     if not len(matches.pairs):
         raise InputError(
@@ -178,7 +180,7 @@ def measure(
     known = positions_of(list(source.headers)) if source.headers else None
     is_rig = source.kind is SourceKind.RIG
     database = database_of_features(
-        names,
+        [one.name for one in looked],
         cameras,
         camera_of,
         [found.pixels for found in full],
@@ -193,7 +195,56 @@ def measure(
         source=source.path,
     )
     index = None if keyframes is None else keyframes.astype(np.int32)
-    return Measured(source, database, tuple(full), matches, np.array(times), index, motion, empty, seconds)
+    times = np.array([one.time_s for one in looked])
+    return Measured(source, database, tuple(full), matches, times, index, motion, empty, seconds, key)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What is looked at, and how."""
+
+    source: Source
+    keyframes: Index | None
+    options: FrontEndOptions
+    masks: Path | None
+    color: bool
+
+    def __len__(self) -> int:
+        return len(self.source.images) if self.keyframes is None else len(self.keyframes)
+
+
+def _look(
+    look: _Look,
+    store: Store,
+    say: Callable[[str, int, int], None],
+    each: Callable[[Picture], None] | None,
+) -> list[Looked]:
+    """Look at all pictures; those that an earlier run has looked at are not opened."""
+    found = [store.look(k) for k in range(len(look))]
+    missing = [k for k, one in enumerate(found) if one is None]
+    done = len(look) - len(missing)
+    say("features", done, len(look))
+
+    def extract(picture: Picture, mask: Bool | None) -> Features:
+        own = extract_features(picture.gray, look.options.features, mask=mask, equirectangular=look.source.is_panoramic)
+        return own if picture.color is None else replace(own, color=_colors(own, picture.gray, picture.color))
+
+    for picture, features in _in_parallel(_pictures(look, missing), extract):
+        if each is not None:
+            each(picture)
+        looked = found[picture.index] = Looked(picture.name, picture.time_s, features)
+        # a picture counts as done when all that is made of it is there
+        store.leave_look(picture.index, looked)
+        done += 1
+        say("features", done, len(look))
+    return [one for one in found if one is not None]
+
+
+def _colors(features: Features, gray: Gray, color: Gray) -> npt.NDArray[np.uint8]:
+    height, width = color.shape[:2]
+    scale = np.array((width, height)) / np.array(gray.shape[::-1])
+    at = np.clip((features.pixels * scale).astype(np.int64), 0, (width - 1, height - 1))
+    return np.ascontiguousarray(color[at[:, 1], at[:, 0]])
 
 
 def _in_parallel(
@@ -222,34 +273,41 @@ def _in_parallel(
         cv2.setNumThreads(before)
 
 
-def _moving(source: Source, options: FrontEndOptions, say: Callable[[str, int, int], None]) -> VideoMotion:
+def _moving(
+    source: Source, options: FrontEndOptions, store: Store, say: Callable[[str, int, int], None]
+) -> VideoMotion:
+    """How the camera moved, where it did."""
     n = source.video.n_frames if source.video is not None else 0
-    motion = video_motion(source.path, options.video, lambda done: say("motion", done, n))
+    motion = store.motion(lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n)))
     if motion.kind is not VideoKind.MOVING:
         raise InputError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
     return motion
 
 
-def _pictures(
-    source: Source, keyframes: Index | None, width: int, masks: Path | None, color: bool
-) -> Iterator[tuple[Picture, Bool | None]]:
-    """Yield pictures at the working resolution, with their masks."""
-    if keyframes is not None:
+def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Bool | None]]:
+    """Yield some of the pictures at the working resolution, with their masks."""
+    source, width = look.source, look.options.width
+    if look.keyframes is not None:
         own = min(width, source.cameras[0].width) // 2 * 2
-        if masks is not None and not masks.is_file():
-            raise InputError(f"{masks}: is no file, expected one mask for all frames of a video")
-        mask = None if masks is None else read_mask(masks)
-        for k, frame in enumerate(read_frames(source.path, keyframes.tolist(), own, color=color)):
-            name = f"frame_{frame.index:06d}.jpg"
-            yield Picture(k, name, frame.gray, frame.color, frame.time_s), mask
+        if look.masks is not None and not look.masks.is_file():
+            raise InputError(f"{look.masks}: is no file, expected one mask for all frames of a video")
+        mask = None if look.masks is None else read_mask(look.masks)
+        frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color)
+        for k, frame in zip(wanted, frames, strict=True):
+            yield Picture(k, f"frame_{frame.index:06d}.jpg", frame.gray, frame.color, frame.time_s), mask
         return
-    listed = masks_of(masks, list(source.images))
-    for k, (path, name, header) in enumerate(zip(source.images, source.names, source.headers, strict=True)):
-        rgb = _at_working_size(read_image(path, color=True), source, width) if color else None
-        gray = _at_working_size(read_image(path), source, width)
-        mask_file = listed[k]
+    listed = masks_of(look.masks, list(source.images))
+    for k in wanted:
+        path, name, header, mask_file = source.images[k], source.names[k], source.headers[k], listed[k]
+        rgb = read_image(path, color=True) if look.color else None
+        gray = _at_working_size(read_image(path) if rgb is None else _gray(rgb), source, width)
         mask = None if mask_file is None else read_mask(mask_file)
         yield Picture(k, name, gray, rgb, np.nan if header.time_s is None else header.time_s), mask
+
+
+def _gray(color: Gray) -> Gray:
+    cv2 = opencv()
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def _at_working_size(picture: Gray, source: Source, width: int) -> Gray:
@@ -268,14 +326,7 @@ def _camera_of(source: Source, n: int) -> Int:
 
 
 def _cameras(source: Source, width: int) -> tuple[tuple[Camera, ...], list[tuple[float, float]], Float]:
-    """Cameras of the database; pixels of each for one of the working resolution, in x and y; and how much they span.
-
-    Frames of a video become pictures at the working resolution; those of a folder stay as they are.
-    """
-    if source.kind is SourceKind.VIDEO:
-        own = min(width, source.cameras[0].width) // 2 * 2
-        camera = Camera(1, EQUIRECTANGULAR_ID, own, own // 2, (float(own), float(own // 2)))
-        return (camera,), [(1.0, 1.0)], np.ones(1)
+    """Cameras of the database; pixels of each for one of the working resolution, in x and y; and how much they span."""
     scales = []
     for camera in source.cameras:
         own = min(width, camera.width)
@@ -295,11 +346,15 @@ def _scaled(found: Features, scale: tuple[float, float]) -> Features:
 def _with_bearings(camera: Camera, found: Features) -> Features:
     """Leave out features that the camera cannot unproject, such as those beyond the circle of a fisheye."""
     known = np.isfinite(_rays(camera, found)).all(axis=1)
-    return found if known.all() else Features(found.pixels[known], found.descriptors[known])
+    return found if bool(known.all()) else found.select(np.asarray(known))
 
 
 def _match(
-    source: Source, features: list[Features], cameras: tuple[Camera, ...], spans: Float, options: FrontEndOptions
+    source: Source,
+    features: list[Features],
+    cameras: tuple[Camera, ...],
+    spans: Float,
+    options: FrontEndOptions,
 ) -> ImageMatches:
     camera_of = _camera_of(source, len(features))
     rays = [_rays(cameras[c], found) for c, found in zip(camera_of, features, strict=True)]

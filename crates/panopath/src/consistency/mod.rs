@@ -48,7 +48,7 @@ pub struct ConsistencyOptions {
     pub max_unplaced_share: f64,
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-4.
     pub pair_chance: f64,
-    /// Largest noise in the scene as a multiple of the noise among ten neighbouring views. Default: 1.08.
+    /// Largest noise in the scene as a multiple of the noise among ten neighbouring views. Default: 1.3.
     pub max_tension: f64,
     /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
     pub max_near_strain: f64,
@@ -66,7 +66,7 @@ impl Default for ConsistencyOptions {
             max_behind_share: 0.001,
             max_unplaced_share: 0.05,
             pair_chance: 1e-4,
-            max_tension: 1.08,
+            max_tension: 1.3,
             max_near_strain: 6.0,
             max_far_strain: 4.0,
         }
@@ -144,7 +144,7 @@ pub fn check_consistency<const D: usize, const V: usize>(
     judge_tracks(&rays, options, &mut found);
     judge_views(&rays, options, &mut found);
     judge_ties(&rays, &mut found);
-    let ties = pairs::count(&rays);
+    let ties = pairs::count(&rays, &rays.near_tracks(&noise));
     judge_agreement(&ties, options, &mut found);
     judge_windows::<D, V>(&rays, &noise, &ties, options, &mut found);
     Ok(found)

@@ -1,6 +1,6 @@
 //! Of the tracks that two views share, how many fit both?
 //!
-//! A pair `(i, k)` shares `n` tracks, of which `a` were accepted by both. In the whole scene the share is `p = sum a / sum n`.
+//! A pair `(i, k)` shares `n` tracks near enough to tell of places; both accepted `a` of them. In the whole scene the share is `p = sum a / sum n`.
 //! False bearings are spread over all pairs and only lower `p`. A pair has a share of its own where
 //! `n KL(a / n, 0.85 p) > ln(pairs / chance)`: Chernoff's bound on the chance of so few, for each pair on its own. Such a pair may be
 //! two places that look alike, rightly told apart. It is held against the scene only where what was rejected, `p n - a`
@@ -44,13 +44,13 @@ const FIRM: u32 = 8;
 /// Share of the scene's agreement that a pair may have without notice.
 const MARGIN: f64 = 0.85;
 
-/// Counts the tracks of every pair.
-pub(super) fn count<const D: usize>(rays: &Rays<'_, D>) -> Ties {
+/// Counts the tracks of every pair that are near.
+pub(super) fn count<const D: usize>(rays: &Rays<'_, D>, is_near: &[bool]) -> Ties {
     let n_views = rays.tracks.n_views();
     let chunk = n_views.div_ceil(64).max(1);
     let of_chunk = |first: usize| {
         let mut counter = Counter::new(n_views);
-        (first..(first + chunk).min(n_views)).map(|i| counter.of_view(rays, i)).collect::<Vec<_>>()
+        (first..(first + chunk).min(n_views)).map(|i| counter.of_view(rays, is_near, i)).collect::<Vec<_>>()
     };
     let firsts: Vec<usize> = (0..n_views).step_by(chunk).collect();
     let rows: Vec<(Vec<Tie>, Vec<u32>)> = firsts.into_par_iter().map(of_chunk).collect::<Vec<_>>().concat();
@@ -71,9 +71,13 @@ impl Counter {
     }
 
     /// Ties of one view to later ones, and its neighbours.
-    fn of_view<const D: usize>(&mut self, rays: &Rays<'_, D>, view: usize) -> (Vec<Tie>, Vec<u32>) {
+    fn of_view<const D: usize>(&mut self, rays: &Rays<'_, D>, is_near: &[bool], view: usize) -> (Vec<Tie>, Vec<u32>) {
         for &o in rays.by_view.of(view) {
-            let of_track = rays.sightings(rays.tracks.track()[o as usize] as usize);
+            let j = rays.tracks.track()[o as usize] as usize;
+            if !is_near[j] {
+                continue;
+            }
+            let of_track = rays.sightings(j);
             let is_accepted = rays.accepted[o as usize];
             let step = of_track.len().div_ceil(LONGEST_TRACK).max(1);
             for &(other, other_accepted) in of_track.iter().step_by(step) {

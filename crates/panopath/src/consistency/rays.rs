@@ -20,6 +20,8 @@ const LEAST_FREE_SHARE: f64 = 0.2;
 const PLACEABLE: usize = 20;
 /// Sightings from which on a track is judged as a whole: false bearings alone hardly ever take two thirds of so many.
 const OFTEN: usize = 5;
+/// A track tells of places where its directions spread by more than so many times the noise.
+const PARALLAX_SIGMAS: f64 = 8.0;
 /// Fewest equations beyond the unknowns from which a noise is estimated.
 pub(super) const LEAST_FREEDOM: f64 = 12.0;
 
@@ -119,14 +121,36 @@ impl<'a, const D: usize> Rays<'a, D> {
     #[inline]
     fn directions(&self, o: usize) -> (Vector<D>, Vector<D>, f64) {
         let (i, j) = (self.tracks.view()[o] as usize, self.tracks.track()[o] as usize);
+        let apart = sub(&self.scene.points[j], &self.scene.centers[i]);
+        (self.seen(o), normalized(&apart), norm(&apart).max(f64::MIN_POSITIVE))
+    }
+
+    /// Direction of an observation in the world.
+    #[inline]
+    fn seen(&self, o: usize) -> Vector<D> {
+        let i = self.tracks.view()[o] as usize;
         let (cam_from_world, bearing) = (self.scene.cam_from_world[i].matrix(), &self.tracks.bearing()[o]);
         // the transposed rotation, row by row
-        let mut seen = [0.0; D];
-        for (row, b) in cam_from_world.iter().zip(bearing) {
-            seen = add(&seen, &scale(*b, row));
-        }
-        let apart = sub(&self.scene.points[j], &self.scene.centers[i]);
-        (seen, normalized(&apart), norm(&apart).max(f64::MIN_POSITIVE))
+        cam_from_world.iter().zip(bearing).fold([0.0; D], |sum, (row, b)| add(&sum, &scale(*b, row)))
+    }
+
+    /// Which tracks tell of places: far ones fit any, and agree on both sides of every tear.
+    ///
+    /// The directions of the accepted observations are looked at, or of all where fewer than two are accepted.
+    pub fn near_tracks(&self, noise: &[Noise]) -> Vec<bool> {
+        let largest = noise.iter().map(|n| n.sigma_rad).filter(|s| s.is_finite()).fold(0.0, f64::max);
+        let is_near = |j: usize| {
+            let all = self.by_track.of(j);
+            let accepted = || all.iter().filter(|&&o| self.accepted[o as usize]);
+            let directions: Vec<Vector<D>> = if accepted().nth(1).is_some() {
+                accepted().map(|&o| self.seen(o as usize)).collect()
+            } else {
+                all.iter().map(|&o| self.seen(o as usize)).collect()
+            };
+            let mean = normalized(&directions.iter().fold([0.0; D], |sum, v| add(&sum, v)));
+            directions.iter().any(|v| norm(&sub(v, &mean)) > PARALLAX_SIGMAS * largest)
+        };
+        (0..self.tracks.n_tracks()).into_par_iter().map(is_near).collect()
     }
 
     fn weight(&self, o: usize) -> f64 {

@@ -2,7 +2,7 @@
 //!
 //! The colour of a pixel is that of the first thing along `world_from_cam * bearing(pixel)` from the centre, averaged over
 //! the solid angle of a pixel: surfaces average themselves (`filter`, `surfaces`), thin things cover a known share of the
-//! pixel, and pixels on edges between solids are sampled again [`SAMPLES`] times. Frames are COLMAP's `EQUIRECTANGULAR`,
+//! pixel, and of pixels on edges between solids [`SAMPLES`] say how much each solid has of them. Frames are COLMAP's `EQUIRECTANGULAR`,
 //! `width x width / 2` pixels of 8-bit RGB, row by row. World z is up, the ground is `z = 0`, metres and seconds.
 //!
 //! The city is a grid of streets without end: their middles lie at x = multiples of 75 m and y = multiples of 52 m,
@@ -16,13 +16,15 @@ use rayon::prelude::*;
 
 use super::{WorldError, choose, require};
 use crate::geometry::{Rotation, Vector, dot};
-use city::{Ball, Block, City, FAR_M, GROUND, Hit, Item, Kind, Moving, Post, Ray, SKY, Veil};
+use city::{Ball, Block, City, FAR_M, GROUND, Hit, Item, Kind, Post, Ray, SKY, Veil};
 use filter::{Colour, Spot, hash, lit, mix};
+use tiles::{Frame, Tiles};
 
 mod city;
 mod filter;
 mod path;
 mod surfaces;
+mod tiles;
 
 /// Where the walk leads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -163,6 +165,7 @@ struct Car {
     axis: usize,
     speed_m_s: f64,
     paint: Colour,
+    seed: u32,
 }
 
 /// Samples of a pixel that lies on an edge: one in each row and column of an 8 x 8 grid.
@@ -176,6 +179,8 @@ const SAMPLES: [[f64; 2]; 8] = [
     [0.8125, 0.5625],
     [0.9375, 0.0625],
 ];
+/// Of what a pixel is said to show: that something in front covers all of it.
+const OPAQUE: u32 = 1;
 /// Towards the sun.
 const SUN: Vector<3> = [-0.42, -0.55, 0.72];
 
@@ -218,33 +223,23 @@ pub fn walk(options: &WalkOptions) -> Result<Walk, WorldError> {
 pub fn render_frame(walk: &Walk, k: usize) -> Result<Vec<u8>, WorldError> {
     let shot = Shot::of(walk, k)?;
     let (width, height) = (walk.width_px(), walk.height_px());
-    let horizon: Vec<_> = (0..width).map(|x| shot.bearing(x as f64 + 0.5, 0.5 * height as f64)).collect();
-    let mut pixels = vec![([0.0_f32; 3], 0_u32); width * height];
-    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        let mut veils = Vec::new();
-        let [_, down, level] = shot.bearing(0.5 * width as f64, y as f64 + 0.5);
-        for (pixel, [right, _, forward]) in row.iter_mut().zip(&horizon) {
-            *pixel = shot.see([level * right, down, level * forward], &mut veils);
-        }
-    });
     let mut frame = vec![0; 3 * width * height];
+    let mut shown = vec![0_u32; width * height];
+    let rows = frame.par_chunks_mut(3 * width).zip(shown.par_chunks_mut(width));
+    rows.enumerate().for_each(|(y, (row, shown))| shot.see_row(y, row.as_chunks_mut().0, shown));
     frame.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
         let mut veils = Vec::new();
+        let [above, below] = [y.saturating_sub(1), (y + 1).min(height - 1)];
+        let [above, here, below] = [above, y, below].map(|y| &shown[y * width..(y + 1) * width]);
         for (x, bytes) in row.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-            let at = |x: usize, y: usize| pixels[y * width + x].1;
-            let here = at(x, y);
-            let neighbours = [
-                at((x + 1) % width, y),
-                at((x + width - 1) % width, y),
-                at(x, (y + 1).min(height - 1)),
-                at(x, y.saturating_sub(1)),
-            ];
-            let colour = if neighbours.iter().all(|&id| id == here) {
-                pixels[y * width + x].0
-            } else {
-                shot.see_again(x as f64, y as f64, &mut veils)
-            };
-            *bytes = shot.develop(colour, (y * width + x) as u32);
+            let (left, right) = (if x == 0 { width - 1 } else { x - 1 }, if x + 1 == width { 0 } else { x + 1 });
+            let other = [here[left], here[right], above[x], below[x]].map(|id| (id ^ here[x]) & !OPAQUE);
+            if here[x] & OPAQUE == 0
+                && other != [0; 4]
+                && let Some(colour) = shot.see_again(x, y, here[x], &mut veils)
+            {
+                *bytes = shot.develop(colour, y * width + x);
+            }
         }
     });
     Ok(frame)
@@ -261,7 +256,7 @@ pub fn render_ranges(walk: &Walk, k: usize) -> Result<Vec<f32>, WorldError> {
     ranges.par_chunks_mut(walk.width_px()).enumerate().for_each(|(y, row)| {
         let mut veils = Vec::new();
         for (x, range) in row.iter_mut().enumerate() {
-            *range = shot.range(shot.bearing(x as f64 + 0.5, y as f64 + 0.5), &mut veils);
+            *range = shot.range(x, y, &mut veils);
         }
     });
     Ok(ranges)
@@ -299,25 +294,25 @@ impl Car {
         at[axis] -= speed_m_s * time_s;
         let right = if axis == 0 { -1.0 } else { 1.0 };
         at[1 - axis] = middle + if forward { 1.15 * right } else { -1.15 * right };
-        Self { at, axis, speed_m_s, paint: city::paint(rng) }
+        Self { at, axis, speed_m_s, paint: city::paint(rng), seed: hash(k as i32, 0, 18) }
     }
 
     fn blocks(&self, time_s: f64) -> [Block; 2] {
         let mut at = self.at;
         at[self.axis] += self.speed_m_s * time_s;
-        city::car(at, self.axis, self.speed_m_s > 0.0, self.paint)
+        city::car(at, self.axis, self.speed_m_s > 0.0, self.paint, self.seed)
     }
 }
 
 /// One frame in the making.
 struct Shot<'a> {
     walk: &'a Walk,
-    center: Vector<3>,
-    world_from_cam: Rotation<3>,
-    camera: crate::sphere::Equirectangular,
-    movers: Vec<Moving>,
-    /// Angle of a pixel.
-    delta: f64,
+    frame: Frame,
+    movers: Vec<Block>,
+    tiles: Tiles,
+    /// Sine and cosine of the azimuth of each column, and of the angle below the horizon of each row.
+    columns: Vec<[f64; 2]>,
+    rows: Vec<[f64; 2]>,
     gain: f32,
     salt: u32,
 }
@@ -325,62 +320,134 @@ struct Shot<'a> {
 impl<'a> Shot<'a> {
     fn of(walk: &'a Walk, k: usize) -> Result<Self, WorldError> {
         require("frame", k, k < walk.time_s.len(), "a number below the number of frames")?;
-        let (o, time_s, center) = (&walk.options, walk.time_s[k], walk.centers[k]);
-        let blocks = walk.cars.iter().flat_map(|car| car.blocks(time_s));
+        let (o, time_s) = (&walk.options, walk.time_s[k]);
         let drift = (std::f64::consts::TAU * (1.3 * time_s / o.duration_s().max(1.0) + walk.phase[7])).sin();
-        // displays raise to the power of 2.2, so light of 2^s is a value of 2^(s / 2.2)
-        let gain = (0.5 * o.exposure_drift_stops * drift / 2.2).exp2() as f32;
-        let size = [o.width_px as f64, 0.5 * o.width_px as f64];
+        let frame = Frame::of(walk.centers[k], &walk.cam_from_world[k], o.width_px);
+        let movers: Vec<Block> = walk.cars.iter().flat_map(|car| car.blocks(time_s)).collect();
+        let angles = |n: usize| {
+            let angle = |i: usize| (i as f64 + 0.5 - 0.5 * n as f64) * frame.delta;
+            (0..n).map(|i| angle(i).sin_cos().into()).collect()
+        };
         Ok(Self {
             walk,
-            center,
-            world_from_cam: walk.cam_from_world[k].inverse(),
-            camera: crate::sphere::Equirectangular { width_px: size[0], height_px: size[1] },
-            movers: blocks.map(|block| Moving::new(block, &center)).collect(),
-            delta: std::f64::consts::TAU / size[0],
-            gain,
+            tiles: Tiles::of(&frame, &walk.city, &movers),
+            movers,
+            columns: angles(frame.width_px),
+            rows: angles(frame.height_px),
+            frame,
+            // displays raise to the power of 2.2, so light of 2^s is a value of 2^(s / 2.2)
+            gain: (0.5 * o.exposure_drift_stops * drift / 2.2).exp2() as f32,
             salt: hash(k as i32, o.seed as i32, (o.seed >> 32) as u32),
         })
     }
 
-    fn bearing(&self, x_px: f64, y_px: f64) -> Vector<3> {
-        self.camera.bearing([x_px, y_px])
+    /// Bearing of the middle of a pixel.
+    #[inline(always)]
+    fn middle(&self, x: usize, y: usize) -> Vector<3> {
+        let ([aside, ahead], [down, level]) = (self.columns[x], self.rows[y]);
+        [level * aside, down, level * ahead]
     }
 
-    /// Colour along a bearing, and a number that differs between the solids of two neighbouring pixels.
-    fn see(&self, bearing: Vector<3>, veils: &mut Vec<Veil>) -> (Colour, u32) {
-        let operator = self.operator(&bearing);
+    /// Bearing of a place in a pixel, given from its middle.
+    #[inline(always)]
+    fn bearing(&self, x: usize, y: usize, [right, down]: [f64; 2]) -> Vector<3> {
+        let turned = |[sin, cos]: [f64; 2], px: f64| {
+            let by = px * self.frame.delta;
+            let (c, s) = (1.0 - 0.5 * by * by, by * (1.0 - by * by / 6.0));
+            [sin * c + cos * s, cos * c - sin * s]
+        };
+        let ([aside, ahead], [down, level]) = (turned(self.columns[x], right), turned(self.rows[y], down));
+        [level * aside, down, level * ahead]
+    }
+
+    #[inline(always)]
+    fn ray(&self, bearing: &Vector<3>) -> Ray {
+        let [right, down, forward] = &self.frame.axes;
+        let along = std::array::from_fn(|c| bearing[0] * right[c] + bearing[1] * down[c] + bearing[2] * forward[c]);
+        Ray::new(self.frame.center, along, self.frame.delta)
+    }
+
+    /// Colour about a bearing in a pixel, and a number that differs between the solids of two neighbouring pixels.
+    #[inline(always)]
+    fn see(&self, x: usize, y: usize, bearing: &Vector<3>, veils: &mut Vec<Veil>) -> (Colour, u32) {
+        let operator = self.operator(bearing);
         if operator >= 1.0 {
-            return (surfaces::operator(&bearing, self.delta), SKY - 1);
+            return (surfaces::operator(bearing, self.frame.delta), number(SKY - 1, 0));
         }
-        let ray = Ray::new(self.center, self.world_from_cam.apply(&bearing), self.delta);
-        let hit = self.walk.city.trace(&ray, &self.movers, veils);
-        let mut colour = self.solid(&hit, &ray.along);
-        for veil in veils.iter().rev() {
+        let ray = self.ray(bearing);
+        let hit = self.tiles.at(x, y).trace(&ray, &self.walk.city, veils);
+        let id = number(hit.block, hit.axis);
+        let opaque = veils.iter().position(|veil| veil.share >= 1.0);
+        let mut colour = match opaque {
+            Some(k) => self.veil(&veils[k], &ray.along),
+            None => self.solid(&hit, &ray.along),
+        };
+        for veil in veils[..opaque.unwrap_or(veils.len())].iter().rev() {
             colour = mix(colour, self.veil(veil, &ray.along), veil.share);
         }
         if operator > 0.0 {
-            colour = mix(colour, surfaces::operator(&bearing, self.delta), operator);
+            colour = mix(colour, surfaces::operator(bearing, self.frame.delta), operator);
         }
-        (colour, hit.block.wrapping_mul(4).wrapping_add(hit.axis as u32))
+        (colour, if opaque.is_some() { id | OPAQUE } else { id })
     }
 
-    /// Mean of a pixel with an edge in it.
-    fn see_again(&self, x: f64, y: f64, veils: &mut Vec<Veil>) -> Colour {
-        let mut sum = [0.0; 3];
-        for [right, down] in SAMPLES {
-            let (colour, _) = self.see(self.bearing(x + right, y + down), veils);
-            sum = std::array::from_fn(|c| sum[c] + colour[c]);
+    /// One row: its bytes, and what it shows. Towards the poles columns are closer than a footprint is wide, and only every
+    /// second, fourth or eighth pixel is looked at; those between two that show the same solid are interpolated.
+    fn see_row(&self, y: usize, row: &mut [[u8; 3]], shown: &mut [u32]) {
+        let mut veils = Vec::new();
+        let (width, level) = (row.len(), self.rows[y][1]);
+        let stride = [8, 4, 2].into_iter().find(|&n| level * n as f64 <= 1.0 && width.is_multiple_of(n)).unwrap_or(1);
+        let mut see = |x: usize| self.see(x, y, &self.middle(x, y), &mut veils);
+        let first = see(0);
+        let mut before = first;
+        for x in (0..width).step_by(stride) {
+            let after = if x + stride < width { see(x + stride) } else { first };
+            for k in 0..stride {
+                let (colour, id) = if k == 0 {
+                    before
+                } else if before.1 == after.1 {
+                    (mix(before.0, after.0, k as f32 / stride as f32), before.1)
+                } else {
+                    see(x + k)
+                };
+                (row[x + k], shown[x + k]) = (self.develop(colour, y * width + x + k), id);
+            }
+            before = after;
         }
-        lit(sum, 1.0 / SAMPLES.len() as f32)
     }
 
-    fn range(&self, bearing: Vector<3>, veils: &mut Vec<Veil>) -> f32 {
+    /// Mean of a pixel with an edge in it: each solid is seen once, in the middle of the samples that meet it. None where
+    /// the edge lies in the neighbour.
+    fn see_again(&self, x: usize, y: usize, shown: u32, veils: &mut Vec<Veil>) -> Option<Colour> {
+        let tile = self.tiles.at(x, y);
+        let mut solids = [(0, [0.0; 2], 0.0); SAMPLES.len()];
+        let mut n = 0;
+        for place in SAMPLES.map(|place| place.map(|px| px - 0.5)) {
+            let hit = tile.solid(&self.ray(&self.bearing(x, y, place)));
+            let id = number(hit.block, hit.axis);
+            let k = solids[..n].iter().position(|solid| solid.0 == id).unwrap_or(n);
+            n = n.max(k + 1);
+            let (_, sum, count) = solids[k];
+            solids[k] = (id, std::array::from_fn(|c| sum[c] + place[c]), count + 1.0);
+        }
+        if n == 1 && solids[0].0 == shown {
+            return None;
+        }
+        let mut mean = [0.0; 3];
+        for (_, sum, count) in &solids[..n] {
+            let (colour, _) = self.see(x, y, &self.bearing(x, y, sum.map(|px| px / count)), veils);
+            let share = (count / SAMPLES.len() as f64) as f32;
+            mean = std::array::from_fn(|c| mean[c] + share * colour[c]);
+        }
+        Some(mean)
+    }
+
+    fn range(&self, x: usize, y: usize, veils: &mut Vec<Veil>) -> f32 {
+        let bearing = self.middle(x, y);
         if self.operator(&bearing) >= 0.5 {
             return f32::NAN;
         }
-        let ray = Ray::new(self.center, self.world_from_cam.apply(&bearing), self.delta);
-        let hit = self.walk.city.trace(&ray, &self.movers, veils);
+        let hit = self.tiles.at(x, y).trace(&self.ray(&bearing), &self.walk.city, veils);
         let mut seen = 1.0;
         for veil in veils.iter() {
             seen *= 1.0 - veil.share;
@@ -402,71 +469,70 @@ impl<'a> Shot<'a> {
         let waver = 0.5 * (2.0 * azimuth).cos() + 0.3 * (3.0 * azimuth + 1.0).sin() + 0.2 * (7.0 * azimuth).sin();
         let rim = 1.0 - 2.0 * share + share.min(0.2) * waver;
         let slope = (1.0 - rim * rim).max(0.01).sqrt();
-        ((bearing[1] - rim) / (slope * self.delta) + 0.5).clamp(0.0, 1.0) as f32
+        ((bearing[1] - rim) / (slope * self.frame.delta) + 0.5).clamp(0.0, 1.0) as f32
     }
 
+    #[inline(always)]
     fn solid(&self, hit: &Hit, along: &Vector<3>) -> Colour {
-        if hit.block == SKY || hit.distance > FAR_M {
-            return surfaces::sky(along, self.delta);
+        if hit.block == SKY {
+            return surfaces::sky(along, self.frame.delta);
         }
-        let at: Vector<3> = std::array::from_fn(|c| self.center[c] + hit.distance * along[c]);
+        let at: Vector<3> = std::array::from_fn(|c| self.frame.center[c] + hit.distance * along[c]);
         let (u, v) = [(1, 2), (0, 2), (0, 1)][hit.axis];
         // tangent offset e of the ray moves the spot by distance * (e - along (n e) / (n along))
-        let widen = |c: usize| hit.distance * self.delta * (1.0 + (along[c] / along[hit.axis]).powi(2)).sqrt();
-        let spot = Spot { u: at[u], v: at[v], w_u: widen(u), w_v: widen(v) };
+        let (facing, width) = (1.0 / along[hit.axis] as f32, (hit.distance * self.frame.delta) as f32);
+        let widen = |c: usize| {
+            let slope = along[c] as f32 * facing;
+            width * (1.0 + slope * slope).sqrt()
+        };
+        let spot = |u_from: f64| Spot::new((at[u] - u_from) as f32, at[v] as f32, widen(u), widen(v));
         let colour = if hit.block == GROUND {
-            lit(surfaces::ground(&spot), 0.72 + 0.36 * SUN[2] as f32)
+            lit(surfaces::ground(&spot(0.0)), 0.72 + 0.36 * SUN[2] as f32)
         } else {
-            let blocks = &self.walk.city.blocks;
-            let k = hit.block as usize;
-            let block = if k < blocks.len() { &blocks[k] } else { &self.movers[k - blocks.len()].block };
-            self.face(block, hit, along, u, &spot)
+            let block = tiles::block_of(&self.walk.city, &self.movers, hit.block);
+            self.face(block, hit.axis, along, u, &spot(block.low[u]))
         };
         self.haze(colour, hit.distance)
     }
 
-    /// Face of a block; `u` is its horizontal axis.
-    fn face(&self, block: &Block, hit: &Hit, along: &Vector<3>, u: usize, spot: &Spot) -> Colour {
-        let outwards = -along[hit.axis].signum();
-        let light = 0.72 + 0.36 * (outwards * SUN[hit.axis]).max(-0.4) as f32;
-        let here = spot.about(block.low[u], 0.0);
+    /// Face of a block; `u` is its horizontal axis, on which the spot is given from the block's lower end.
+    fn face(&self, block: &Block, axis: usize, along: &Vector<3>, u: usize, spot: &Spot) -> Colour {
+        let outwards = -along[axis].signum();
+        let light = 0.72 + 0.36 * (outwards * SUN[axis]).max(-0.4) as f32;
+        let width = (block.high[u] - block.low[u]) as f32;
         let colour = match &block.kind {
             Kind::House(house) => {
-                let face = 2 * hit.axis as u32 + u32::from(outwards > 0.0);
-                surfaces::facade(house, face, block.high[u] - block.low[u], block.high[2], &here)
+                let face = 2 * axis as u32 + u32::from(outwards > 0.0);
+                surfaces::facade(house, face, width, block.high[2] as f32, spot)
             }
-            Kind::Car { paint, axis, forward, cabin } if hit.axis != 2 => {
-                let sign = if *forward { 1.0 } else { -1.0 };
-                let middle = 0.5 * (block.low[u] + block.high[u]);
-                let local = Spot { u: sign * (spot.u - middle), ..*spot };
-                surfaces::car(*paint, hit.axis == *axis, *cabin, &local)
+            Kind::Car { paint, axis: ahead, forward, cabin, seed } if axis != 2 => {
+                let middle = spot.about(0.5 * width, 0.0);
+                let local = if *forward { middle } else { middle.at(-middle.u, middle.v) };
+                surfaces::car(*paint, axis == *ahead, *cabin, *seed, &local)
             }
-            Kind::Car { paint, .. } => lit(*paint, 0.95),
-            Kind::Awning(paint) => {
-                let stripes = filter::bars(spot.u, spot.w_u, 0.5, 0.25);
-                mix(*paint, [0.92, 0.9, 0.84], stripes)
-            }
+            Kind::Car { paint, seed, .. } => surfaces::car_top(*paint, *seed, spot),
+            Kind::Awning(paint, seed) => surfaces::awning(*paint, *seed, spot),
         };
         lit(colour, light)
     }
 
     fn veil(&self, veil: &Veil, along: &Vector<3>) -> Colour {
-        let at: Vector<3> = std::array::from_fn(|c| self.center[c] + veil.distance * along[c]);
-        let width = veil.distance * self.delta;
+        let at: Vector<3> = std::array::from_fn(|c| self.frame.center[c] + veil.distance * along[c]);
+        let width = (veil.distance * self.frame.delta) as f32;
         let colour = match veil.item {
             Item::Post(k) => {
                 let Post { at: axis, radius, colour, seed, .. } = self.walk.city.posts[k as usize];
                 let normal = [(at[0] - axis[0]) / radius, (at[1] - axis[1]) / radius];
-                let facing = (normal[0] * along[0] + normal[1] * along[1]).abs().max(0.2);
+                let facing = (normal[0] * along[0] + normal[1] * along[1]).abs().max(0.2) as f32;
                 let round = radius * normal[1].atan2(normal[0]);
                 let light = 0.78 + 0.3 * (normal[0] * SUN[0] + normal[1] * SUN[1]) as f32;
-                let spot = Spot { u: round, v: at[2], w_u: width / facing, w_v: width };
+                let spot = Spot::new(round as f32, at[2] as f32, width / facing, width);
                 lit(surfaces::post(colour, seed, &spot), light)
             }
             Item::Ball(k) => {
                 let Ball { center, radius, colour, seed } = self.walk.city.balls[k as usize];
                 let normal: Vector<3> = std::array::from_fn(|c| (at[c] - center[c]) / radius);
-                let facing = dot(&normal, along).abs().max(0.25);
+                let facing = dot(&normal, along).abs().max(0.25) as f32;
                 let light = 0.8 + 0.35 * dot(&normal, &SUN) as f32;
                 lit(surfaces::ball(colour, seed, &at, width / facing), light)
             }
@@ -481,7 +547,8 @@ impl<'a> Shot<'a> {
     }
 
     /// Values of 8 bits: exposure, then noise.
-    fn develop(&self, colour: Colour, pixel: u32) -> [u8; 3] {
+    #[inline(always)]
+    fn develop(&self, colour: Colour, pixel: usize) -> [u8; 3] {
         let noise = self.walk.options.noise_gray as f32;
         std::array::from_fn(|c| {
             let mut value = 255.0 * self.gain * colour[c];
@@ -494,4 +561,9 @@ impl<'a> Shot<'a> {
             (value + 0.5) as u8
         })
     }
+}
+
+/// A number for what is seen, with a bit left for [`OPAQUE`].
+fn number(block: u32, axis: usize) -> u32 {
+    block << 3 | (axis as u32) << 1
 }

@@ -7,10 +7,9 @@
 //! speak for the general one only if there are more of them than false matches would supply: the two that fix the direction
 //! of the baseline, and those that fall within the noise of it by chance.
 
-use crate::geometry::{Matrix, Rotation, Vector, add, dot, normalized, scale, sub, tangent_basis};
+use crate::geometry::{Matrix, Rotation, Vector, add, cross, dot, normalized, scale, sub, tangent_basis};
 
 use super::epipolar::{Matches, Pose};
-use super::five_point::cross;
 use super::normal::Normal;
 
 /// A match is explained where its two errors are within this many standard deviations (exp(-8) of true ones are beyond).

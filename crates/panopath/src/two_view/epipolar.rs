@@ -11,9 +11,8 @@
 //! The depths along the two rays, in baselines, have the signs of `s . q - (s . b2) (q . b2)` and
 //! `(s . q) (q . b2) - s . b2`.
 
-use crate::geometry::{Matrix, Rotation, Vector, add, apply, dot, norm, normalized, scale, sub, tangent_basis};
+use crate::geometry::{Matrix, Rotation, Vector, add, apply, cross, dot, norm, normalized, scale, sub, tangent_basis};
 
-use super::five_point::cross;
 use super::normal::Normal;
 
 /// Matches that are scored together: what the widest registers hold.

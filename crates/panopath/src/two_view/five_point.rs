@@ -4,7 +4,7 @@
 //! are eliminated to three equations linear in `x`, `y`, `1` whose coefficients are polynomials in `z`; their determinant
 //! has degree ten, and its real roots are isolated by a Sturm chain.
 
-use crate::geometry::{Matrix, Vector, dot};
+use crate::geometry::{Matrix, Vector, cross, dot};
 
 /// Degree of the polynomial in `z`.
 const DEGREE: usize = 10;
@@ -51,10 +51,6 @@ pub fn essential_matrices(first: &[Vector<3>; 5], second: &[Vector<3>; 5], mut f
             found(&std::array::from_fn(|r| std::array::from_fn(|c| e[3 * r + c] / size)));
         }
     });
-}
-
-pub fn cross(a: &Vector<3>, b: &Vector<3>) -> Vector<3> {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// The four matrices that fit the five equations, entry by entry: `[k]` holds entry `k` of each (Householder).

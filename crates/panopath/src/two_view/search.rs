@@ -4,11 +4,11 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use crate::geometry::{Matrix, Rotation, Vector, dot, normalized, scale, sub};
+use crate::geometry::{Matrix, Rotation, Vector, cross, dot, normalized, scale, sub};
 
 use super::degenerate::RotationFit;
 use super::epipolar::{Fitting, Pose, Score, poses_of, score, sighting};
-use super::five_point::{cross, essential_matrices};
+use super::five_point::essential_matrices;
 
 /// Samples drawn at least: a sample of true matches may be a poor one.
 const LEAST_SAMPLES: usize = 12;

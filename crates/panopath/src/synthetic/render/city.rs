@@ -1,21 +1,18 @@
 //! The city as boxes, posts and balls on a plane, and the ray that meets them.
 //!
 //! Boxes are solid. Posts (upright cylinders) and balls may be thinner than a pixel, so they cover a share of it that is
-//! known in closed form: the nearest distance of the ray from the axis or the centre, against the footprint. A grid of
-//! square cells lists what reaches into each of them.
+//! known in closed form: the nearest distance of the ray from the axis or the centre, against the footprint.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::filter::{Colour, floor, inside, pick};
+use super::filter::{Colour, hash, pick};
 use super::path::{BLOCK_M, HOUSES_M, KERB_M};
-use crate::geometry::{Vector, dot, norm, sub};
+use crate::geometry::{Vector, dot, sub};
 
-const CELL_M: f64 = 5.0;
 /// How far beyond the path there are houses, and from where there is haze only.
 const SURROUND_M: f64 = 130.0;
 pub(super) const FAR_M: f64 = 220.0;
-const HIGHEST_M: f64 = 24.0;
 
 /// What a box is, which says how its faces look.
 #[derive(Clone, Copy)]
@@ -27,9 +24,10 @@ pub(super) enum Kind {
         axis: usize,
         forward: bool,
         cabin: bool,
+        seed: u32,
     },
-    /// Awnings and boxes of one colour with stripes.
-    Awning(Colour),
+    /// An awning of one colour with stripes, and its seed.
+    Awning(Colour, u32),
 }
 
 /// How a house looks.
@@ -40,9 +38,9 @@ pub(super) struct House {
     pub trim: Colour,
     pub bricks: bool,
     pub shutters: bool,
-    pub storey_m: f64,
-    pub column_m: f64,
-    pub window_m: [f64; 2],
+    pub storey_m: f32,
+    pub column_m: f32,
+    pub window_m: [f32; 2],
 }
 
 #[derive(Clone, Copy)]
@@ -87,16 +85,13 @@ pub(super) struct Ray {
     pub along: Vector<3>,
     /// Angle of the pixel.
     delta: f64,
-    inverse: Vector<3>,
-    /// One over the length of `along` seen from above.
-    flat_inverse: f64,
+    pub inverse: Vector<3>,
 }
 
 impl Ray {
     #[inline(always)]
     pub fn new(from: Vector<3>, along: Vector<3>, delta: f64) -> Self {
-        let flat = (along[0] * along[0] + along[1] * along[1]).sqrt();
-        Self { from, along, delta, inverse: along.map(|x| 1.0 / x), flat_inverse: 1.0 / flat.max(1e-9) }
+        Self { from, along, delta, inverse: along.map(|x| 1.0 / x) }
     }
 }
 
@@ -108,7 +103,7 @@ pub(super) struct Veil {
     pub item: Item,
 }
 
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 pub(super) enum Item {
     Block(u32),
     Post(u32),
@@ -123,30 +118,23 @@ pub(super) struct City {
     pub blocks: Vec<Block>,
     pub posts: Vec<Post>,
     pub balls: Vec<Ball>,
-    low: [f64; 2],
-    cells: [i32; 2],
-    /// Items of cell `k`: `items[first[k]..first[k + 1]]`.
-    first: Vec<u32>,
-    items: Vec<Item>,
 }
 
 impl City {
     /// The city about places of a walk.
     pub fn about(places: &[Vector<3>], rng: &mut ChaCha8Rng) -> Self {
         let reach = |c: usize, sign: f64| places.iter().map(|p| sign * p[c]).fold(f64::MIN, f64::max) + SURROUND_M;
-        let low = [-reach(0, -1.0), -reach(1, -1.0)];
-        let cells = std::array::from_fn(|c| ((reach(c, 1.0) - low[c]) / CELL_M).ceil() as i32);
-        let mut city = Self { blocks: vec![], posts: vec![], balls: vec![], low, cells, first: vec![], items: vec![] };
+        let mut city = Self { blocks: vec![], posts: vec![], balls: vec![] };
+        let quarter = |c: usize, at: f64| (at / BLOCK_M[c]).floor() as i32;
         let span = |c: usize| {
-            let high = low[c] + f64::from(cells[c]) * CELL_M;
-            floor(low[c] / BLOCK_M[c])..=floor(high / BLOCK_M[c])
+            quarter(c, -reach(c, -1.0))
+                ..=quarter(c, -reach(c, -1.0) + ((reach(c, 1.0) + reach(c, -1.0)) / 5.0).ceil() * 5.0)
         };
         for i in span(0) {
             for j in span(1) {
                 city.add_quarter([f64::from(i) * BLOCK_M[0], f64::from(j) * BLOCK_M[1]], rng);
             }
         }
-        city.sort_into_cells();
         city
     }
 
@@ -160,7 +148,7 @@ impl City {
             while x < east {
                 let width = if east - x < 17.0 { east - x } else { rng.random_range(8.0..14.0) };
                 let house = house(rng);
-                let height = 3.8 + house.storey_m * f64::from(rng.random_range(2..6_u32)) + 0.7;
+                let height = 3.8 + f64::from(house.storey_m) * f64::from(rng.random_range(2..6_u32)) + 0.7;
                 self.blocks.push(Block {
                     low: [x, from, 0.0],
                     high: [x + width, to, height],
@@ -171,7 +159,7 @@ impl City {
                     let colour =
                         pick([[0.72, 0.2, 0.16], [0.18, 0.42, 0.3], [0.2, 0.3, 0.6], [0.85, 0.7, 0.3]], rng.random());
                     let (low, high) = ([x + 1.0, out_low, 2.75], [x + 0.6 * width, out_high, 2.95]);
-                    self.blocks.push(Block { low, high, kind: Kind::Awning(colour) });
+                    self.blocks.push(Block { low, high, kind: Kind::Awning(colour, seed_at([x, out_low])) });
                 }
                 x += width;
             }
@@ -201,7 +189,8 @@ impl City {
                 }
                 if rng.random_bool(0.5) {
                     let paint = paint(rng);
-                    let [body, cabin] = car(at(along + 2.5, KERB_M - 1.0), axis, far, paint);
+                    let place = at(along + 2.5, KERB_M - 1.0);
+                    let [body, cabin] = car(place, axis, far, paint, seed_at(place));
                     self.blocks.extend([body, cabin]);
                 }
                 along += 5.5 + rng.random_range(0.0..1.5);
@@ -229,144 +218,14 @@ impl City {
         let globe = [0.95, 0.93, 0.85];
         self.balls.push(Ball { center: [at[0], at[1], 4.8], radius: 0.22, colour: globe, seed: 0 });
     }
-
-    fn sort_into_cells(&mut self) {
-        let [columns, rows] = self.cells;
-        let mut lists = vec![Vec::new(); (columns * rows) as usize];
-        let mut enter = |low: [f64; 2], high: [f64; 2], item: Item| {
-            let range = |c: usize| {
-                let cell = |x: f64| floor((x - self.low[c]) / CELL_M);
-                cell(low[c]).max(0)..=cell(high[c]).min(self.cells[c] - 1)
-            };
-            for j in range(1) {
-                for i in range(0) {
-                    lists[(j * columns + i) as usize].push(item);
-                }
-            }
-        };
-        for (k, b) in self.blocks.iter().enumerate() {
-            enter([b.low[0], b.low[1]], [b.high[0], b.high[1]], Item::Block(k as u32));
-        }
-        for (k, p) in self.posts.iter().enumerate() {
-            // a margin, since a footprint reaches beyond the post
-            let r = p.radius + 0.3;
-            enter(p.at.map(|x| x - r), p.at.map(|x| x + r), Item::Post(k as u32));
-        }
-        for (k, b) in self.balls.iter().enumerate() {
-            let r = b.radius + 0.3;
-            enter([b.center[0] - r, b.center[1] - r], [b.center[0] + r, b.center[1] + r], Item::Ball(k as u32));
-        }
-        self.first = lists.iter().scan(0, |sum, list| Some(std::mem::replace(sum, *sum + list.len() as u32))).collect();
-        self.first.push(lists.iter().map(|list| list.len() as u32).sum());
-        self.items = lists.concat();
-    }
-
-    /// The first solid along a ray, and what veils it, in `veils`. `movers` are further blocks, numbered on from the city's.
-    pub fn trace(&self, ray: &Ray, movers: &[Moving], veils: &mut Vec<Veil>) -> Hit {
-        veils.clear();
-        let mut hit = Hit { distance: FAR_M, block: SKY, axis: 2 };
-        if ray.along[2] < 0.0 && -ray.from[2] * ray.inverse[2] < FAR_M {
-            hit = Hit { distance: -ray.from[2] * ray.inverse[2], block: GROUND, axis: 2 };
-        }
-        for (k, mover) in movers.iter().enumerate() {
-            if dot(&ray.along, &mover.towards) >= mover.cos_radius {
-                mover.block.meet(ray, (self.blocks.len() + k) as u32, &mut hit);
-            }
-        }
-        let mut limit = hit.distance;
-        if ray.along[2] > 0.0 {
-            limit = limit.min((HIGHEST_M - ray.from[2]) * ray.inverse[2]);
-        }
-        self.walk_cells(ray, limit, &mut hit, veils);
-        if !veils.is_empty() {
-            veils.retain(|veil| veil.distance < hit.distance);
-            veils.sort_by(|a, b| a.distance.total_cmp(&b.distance));
-        }
-        hit
-    }
-
-    /// From cell to cell along the ray until a hit lies before the next cell.
-    fn walk_cells(&self, ray: &Ray, limit: f64, hit: &mut Hit, veils: &mut Vec<Veil>) {
-        let mut cell: [i32; 2] = std::array::from_fn(|c| floor((ray.from[c] - self.low[c]) / CELL_M));
-        let ahead: [bool; 2] = std::array::from_fn(|c| ray.along[c] >= 0.0);
-        let slowness: [f64; 2] = std::array::from_fn(|c| ray.inverse[c].abs().min(1e12));
-        let mut next: [f64; 2] = std::array::from_fn(|c| {
-            let border = self.low[c] + CELL_M * f64::from(cell[c] + i32::from(ahead[c]));
-            (border - ray.from[c]).abs() * slowness[c]
-        });
-        let mut entered = 0.0;
-        while (0..2).all(|c| (0..self.cells[c]).contains(&cell[c])) && entered < limit.min(hit.distance) {
-            let k = (cell[1] * self.cells[0] + cell[0]) as usize;
-            for item in &self.items[self.first[k] as usize..self.first[k + 1] as usize] {
-                match *item {
-                    Item::Block(k) => self.blocks[k as usize].meet(ray, k, hit),
-                    Item::Post(k) => veil(self.posts[k as usize].cover(ray), *item, veils),
-                    Item::Ball(k) => veil(self.balls[k as usize].cover(ray), *item, veils),
-                }
-            }
-            let c = usize::from(next[1] < next[0]);
-            entered = next[c];
-            next[c] += CELL_M * slowness[c];
-            cell[c] += if ahead[c] { 1 } else { -1 };
-        }
-    }
-}
-
-/// Keeps a veil once, though it may lie in several cells.
-fn veil(cover: Option<(f64, f32)>, item: Item, veils: &mut Vec<Veil>) {
-    if let Some((distance, share)) = cover
-        && !veils.iter().any(|veil| veil.item == item)
-    {
-        veils.push(Veil { distance, share, item });
-    }
-}
-
-/// A block that is elsewhere in each frame, with the cone in which it is seen.
-pub(super) struct Moving {
-    pub block: Block,
-    towards: Vector<3>,
-    cos_radius: f64,
-}
-
-impl Moving {
-    pub fn new(block: Block, from: &Vector<3>) -> Self {
-        let center: Vector<3> = std::array::from_fn(|c| 0.5 * (block.low[c] + block.high[c]));
-        let radius = 0.5 * norm(&sub(&block.high, &block.low));
-        let to = sub(&center, from);
-        let distance = norm(&to);
-        let cos_radius = if radius < distance { (1.0 - (radius / distance).powi(2)).sqrt() } else { -1.0 };
-        Self { block, towards: to.map(|x| x / distance.max(1e-9)), cos_radius }
-    }
-}
-
-impl Block {
-    /// Moves the hit here if the block is nearer.
-    #[inline(always)]
-    fn meet(&self, ray: &Ray, k: u32, hit: &mut Hit) {
-        let (mut enter, mut leave, mut axis) = (0.0, hit.distance, 3);
-        for c in 0..3 {
-            let (a, b) = ((self.low[c] - ray.from[c]) * ray.inverse[c], (self.high[c] - ray.from[c]) * ray.inverse[c]);
-            let (near, far) = if a < b { (a, b) } else { (b, a) };
-            if near > enter {
-                (enter, axis) = (near, c);
-            }
-            if far < leave {
-                leave = far;
-            }
-        }
-        // from within (axis 3) there is nothing to see
-        if enter < leave && axis < 3 {
-            *hit = Hit { distance: enter, block: k, axis };
-        }
-    }
 }
 
 impl Post {
     /// Distance and covered share of the pixel, where there is any.
     #[inline(always)]
-    fn cover(&self, ray: &Ray) -> Option<(f64, f32)> {
+    pub fn cover(&self, ray: &Ray) -> Option<(f64, f32)> {
         let to = [self.at[0] - ray.from[0], self.at[1] - ray.from[1]];
-        let flat = ray.flat_inverse;
+        let flat = 1.0 / (ray.along[0] * ray.along[0] + ray.along[1] * ray.along[1]).sqrt().max(1e-9);
         let distance = (to[0] * ray.along[0] + to[1] * ray.along[1]) * flat * flat;
         let off = (to[0] * ray.along[1] - to[1] * ray.along[0]) * flat;
         let width = distance * ray.delta;
@@ -382,7 +241,7 @@ impl Post {
 
 impl Ball {
     #[inline(always)]
-    fn cover(&self, ray: &Ray) -> Option<(f64, f32)> {
+    pub fn cover(&self, ray: &Ray) -> Option<(f64, f32)> {
         let to = sub(&self.center, &ray.from);
         let distance = dot(&to, &ray.along);
         let off2 = dot(&to, &to) - distance * distance;
@@ -396,8 +255,14 @@ impl Ball {
     }
 }
 
+/// Share of `[x - w/2, x + w/2]` inside `[from, to]`.
+#[inline(always)]
+fn inside(x: f64, w: f64, from: f64, to: f64) -> f32 {
+    (((x + 0.5 * w).min(to) - (x - 0.5 * w).max(from)).max(0.0) / w) as f32
+}
+
 /// Body and cabin of a car about a place.
-pub(super) fn car(at: [f64; 2], axis: usize, forward: bool, paint: Colour) -> [Block; 2] {
+pub(super) fn car(at: [f64; 2], axis: usize, forward: bool, paint: Colour, seed: u32) -> [Block; 2] {
     let block = |from: f64, to: f64, half: f64, low: f64, high: f64, cabin: bool| {
         let (from, to) = if forward { (from, to) } else { (-to, -from) };
         let (mut a, mut b) = ([at[0], at[1], low], [at[0], at[1], high]);
@@ -405,9 +270,15 @@ pub(super) fn car(at: [f64; 2], axis: usize, forward: bool, paint: Colour) -> [B
         b[axis] += to;
         a[1 - axis] -= half;
         b[1 - axis] += half;
-        Block { low: a, high: b, kind: Kind::Car { paint, axis, forward, cabin } }
+        Block { low: a, high: b, kind: Kind::Car { paint, axis, forward, cabin, seed } }
     };
     [block(-2.1, 2.1, 0.86, 0.0, 0.88, false), block(-1.6, 0.9, 0.74, 0.88, 1.45, true)]
+}
+
+/// A seed for what stands at a place.
+fn seed_at(at: [f64; 2]) -> u32 {
+    let [x, y] = at.map(|x| (64.0 * x).round() as i32);
+    hash(x, y, 17)
 }
 
 /// A colour that cars have.
@@ -436,14 +307,17 @@ fn house(rng: &mut ChaCha8Rng) -> House {
         [0.6, 0.66, 0.58],
     ];
     let trims = [[0.9, 0.88, 0.84], [0.86, 0.8, 0.68], [0.3, 0.24, 0.2], [0.55, 0.52, 0.48]];
+    let (seed, wall, trim) = (rng.random(), pick(walls, rng.random()), pick(trims, rng.random()));
+    let (bricks, shutters) = (rng.random_bool(0.5), rng.random_bool(0.35));
+    let mut metres = |from: f64, to: f64| rng.random_range(from..to) as f32;
     House {
-        seed: rng.random(),
-        wall: pick(walls, rng.random()),
-        trim: pick(trims, rng.random()),
-        bricks: rng.random_bool(0.5),
-        shutters: rng.random_bool(0.35),
-        storey_m: rng.random_range(2.9..3.4),
-        column_m: rng.random_range(2.1..3.0),
-        window_m: [rng.random_range(0.42..0.65), rng.random_range(1.3..1.8)],
+        seed,
+        wall,
+        trim,
+        bricks,
+        shutters,
+        storey_m: metres(2.9, 3.4),
+        column_m: metres(2.1, 3.0),
+        window_m: [metres(0.42, 0.65), metres(1.3, 1.8)],
     }
 }

@@ -1,0 +1,224 @@
+"""The job: recognise, measure, map, certify, place, write.
+
+    source -> pictures -> features -> matches -> orientations -> positions -> refinement -> certificate -> OUT
+
+Each stage leaves a checkpoint in ``OUT/.work``; a run that was stopped goes on there, one on other input begins again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from panopath.certificate import Certificate
+from panopath.checkpoints import Checkpoints
+from panopath.formats.folder import is_scene_folder
+from panopath.frontend import Measured, Source, SourceKind, measure, recognise
+from panopath.frontend.images import positions_of
+from panopath.frontend.stored import Store
+from panopath.model import Float, InputError, Scene
+from panopath.run.mapped import Mapped, mapped
+from panopath.run.options import RunOptions
+from panopath.run.outputs import Answer, ImageKeeper, write_outputs
+from panopath.run.place import Placed, gravity_of, place_on_earth, with_times
+from panopath.steps import certify
+
+Report = Callable[[str, int, int], None]
+
+_WORK = ".work"
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstructed:
+    """What became of a source."""
+
+    folder: Path
+    #: What the source was recognised as.
+    description: str
+    scene: Scene
+    #: None of rigs whose cameras stand apart.
+    certificate: Certificate | None
+    #: ``m``, or empty where the scale is arbitrary.
+    unit: str
+    #: Where up and scale come from, what was masked and left out.
+    statements: tuple[str, ...]
+    #: Number of pictures that were measured, and of the frames that a video has (of a folder the same).
+    n_pictures: int
+    n_frames: int
+    #: Seconds of each stage, and files written, path from the folder, with what they are.
+    seconds: dict[str, float]
+    files: dict[str, str]
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the scene can be believed: solved, determined, and not at odds with its bearings."""
+        sound = self.scene.summary.status.is_determined
+        return sound and (self.certificate is None or self.certificate.is_determined)
+
+
+def reconstruct(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    options: RunOptions | None = None,
+    *,
+    report: Report | None = None,
+    force: bool = False,
+    overwrite: bool = False,
+) -> Reconstructed:
+    """Camera path, points and certificate from a 360 video or a folder of pictures, written for other programs.
+
+    Parameters
+    ----------
+    source
+        See :func:`panopath.frontend.recognise`.
+    out
+        Folder for the answers; made where it is absent. See ``docs/outputs.md`` for what is in it.
+    options
+        Choices; default ``RunOptions()``.
+    report
+        Called with a stage, how many of its steps are done and how many there are (0: not known).
+    force
+        Do everything again, whatever an earlier run has left.
+    overwrite
+        Write into a folder that holds other files than panopath's; they stay.
+
+    Returns
+    -------
+    Reconstructed
+        Whether it can be believed is ``is_determined``: a model that is not is written too, with the reasons.
+
+    Raises
+    ------
+    InputError
+        Where the source cannot be used, says why nothing can be found, or ``out`` cannot be written.
+    MissingExtraError
+        Where what reads pictures or video is not installed.
+    """
+    chosen, folder = RunOptions() if options is None else options, Path(out)
+    say = report or (lambda _stage, _done, _of: None)
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "all"):
+        recognised = recognise(source, rig=chosen.rig)
+        _check_folder(folder, overwrite)
+        store = Checkpoints(folder / _WORK)
+        if force:
+            store.clear()
+        keeper = ImageKeeper(recognised, folder, chosen)
+        measured = measure(
+            recognised, chosen.front_end, masks=chosen.masks, store=store, report=say, each=keeper.keep, color=True
+        )
+        seconds |= measured.seconds
+        with _timed(seconds, "mapping"):
+            say("mapping", 0, 0)
+            found = mapped(measured, chosen, Store(store, measured.key))
+        _check_found(recognised, found.scene)
+        with _timed(seconds, "certificate"):
+            say("certificate", 0, 0)
+            certificate = _certified(recognised, found.scene, chosen)
+        with _timed(seconds, "writing"):
+            say("writing", 0, 0)
+            placed = _placed(measured, found, chosen)
+            statements = (*_statements(measured, found), *placed.statements)
+            answer = Answer(
+                recognised, measured, found.observations, placed, certificate, statements, dict(seconds), chosen
+            )
+            files = write_outputs(answer, folder, keeper, say)
+    return Reconstructed(
+        folder,
+        recognised.description,
+        placed.scene,
+        certificate,
+        placed.unit,
+        statements,
+        len(measured.time_s),
+        len(measured.time_s) if measured.motion is None else len(measured.motion),
+        seconds,
+        files,
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - begin
+
+
+def _check_folder(folder: Path, overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file, expected a folder to write to")
+    known = overwrite or is_scene_folder(folder) or Checkpoints.is_at(folder / _WORK)
+    if folder.is_dir() and any(folder.iterdir()) and not known:
+        raise InputError(f"{folder}: holds files that are not panopath's; name another folder or ask for overwriting")
+
+
+def _check_found(source: Source, scene: Scene) -> None:
+    if not scene.summary.n_solved_views:
+        raise InputError(
+            f"{source.path}: no two pictures could be placed, since what they share shows no parallax; expected a "
+            "camera that moves among things not far away"
+        )
+
+
+def _certified(source: Source, scene: Scene, options: RunOptions) -> Certificate | None:
+    """Certify the scene; rays of a rig start beside its centre, of which the certificate knows nothing."""
+    if scene.tracks is None or _has_levers(source):
+        return None
+    return certify(scene.tracks, scene, options.certify)
+
+
+def _has_levers(source: Source) -> bool:
+    return source.kind is SourceKind.RIG and bool(np.any(source.center_in_rig))
+
+
+def _placed(measured: Measured, found: Mapped, options: RunOptions) -> Placed:
+    source, database = measured.source, measured.database
+    # a frame is where its first image is
+    first = np.unique(database.image_frame, return_index=True)[1]
+    scene = with_times(found.scene, measured.time_s[first])
+    gravity: Float | None = None
+    if options.horizon_locked:
+        gravity = np.tile([0.0, -1.0, 0.0], (len(scene.centers), 1))
+    elif source.kind is SourceKind.PANORAMAS:
+        gravity = gravity_of([source.headers[k] for k in first.tolist()])
+    position = None
+    if options.use_gps and source.headers:
+        position = positions_of([source.headers[k] for k in first.tolist()])
+    return place_on_earth(
+        scene,
+        None if gravity is None or not np.isfinite(gravity).any() else gravity,
+        position,
+        options.camera_height_m,
+        options.baseline,
+        _has_levers(source),
+    )
+
+
+def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
+    """Say what was measured and left out."""
+    scene, said = found.scene, []
+    n_views, n_solved = len(scene.centers), scene.summary.n_solved_views
+    if measured.motion is not None:
+        said.append(f"{n_views} keyframes of {len(measured.motion)} frames, {n_solved} placed")
+        if measured.motion.n_corrupt:
+            said.append(f"{measured.motion.n_corrupt} frames could not be decoded and were passed over")
+        if measured.motion.lost.any():
+            said.append(f"the view changed at once {int(measured.motion.lost.sum())} times, as at a cut")
+    else:
+        said.append(f"{n_solved} of {n_views} {'moments' if measured.database.has_rigs else 'pictures'} placed")
+    if found.is_locked:
+        said.append("the camera keeps its direction, so that positions were solved at once")
+    if measured.empty:
+        names = ", ".join(measured.empty[:5]) + (" ..." if len(measured.empty) > 5 else "")
+        said.append(f"{len(measured.empty)} pictures show nothing to measure: {names}")
+    summary = scene.summary
+    if summary.n_observations:
+        left_out = 100.0 * (1.0 - summary.n_inliers / summary.n_observations)
+        said.append(f"{left_out:.1f} % of the observations agree with no point at rest and were left out")
+    return tuple(said)
