@@ -307,6 +307,30 @@ def test_pictures_are_found_by_name_and_only_inside(turned: pp.SyntheticWorld, t
     assert found == ["a.jpg", "b.jpg", "sub/c.png", None, "d.jpg", None] + [None] * (len(names) - 6)
 
 
+def test_pictures_may_lie_elsewhere(turned: pp.SyntheticWorld, tmp_path: Path) -> None:
+    scene = scene_of(turned)
+    folder = pp.write_scene(scene, tmp_path / "out")
+    name = scene.view_labels()[3]
+    for place in ("out/images", "taken", "other"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / name).write_bytes(b"")
+
+    def found(images: Path | None = None) -> Path:
+        path = read_content(folder, images).images[3]
+        assert path is not None
+        return path.resolve()
+
+    assert found() == tmp_path / "out" / "images" / name
+    (folder / "run.json").write_text('{"images": "../taken"}')
+    assert found() == tmp_path / "taken" / name
+    assert found(tmp_path / "other") == tmp_path / "other" / name
+    for wrong in ("[]", "{", '{"images": 3}'):
+        (folder / "run.json").write_text(wrong)
+        assert found() == tmp_path / "out" / "images" / name
+    with pytest.raises(pp.InputError, match="no such folder of images"):
+        read_content(folder, tmp_path / "absent")
+
+
 @needs_opencv
 def test_panorama_of_a_view(turned: pp.SyntheticWorld, tmp_path: Path) -> None:
     scene = scene_of(turned)

@@ -19,13 +19,14 @@ def view_command(
     host: Annotated[str, typer.Option(help="Address to serve at; the default is seen by this machine alone.")] = (
         "127.0.0.1"
     ),
+    images: Annotated[Path | None, typer.Option(help="Folder of the panoramas, named like the views.")] = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Show a scene in the browser: points, path, panoramas to stand in, uncertainty. Ctrl+C ends it."""
     terminal = Terminal(as_json, quiet)
-    with view(out, port=port, host=host, open_browser=not no_browser, block=False) as viewer:
+    with view(out, port=port, host=host, open_browser=not no_browser, block=False, images=images) as viewer:
         terminal.answer(
             {"url": viewer.url, "folder": str(out)},
             lambda console: console.print(f"{out} at {viewer.url} (Ctrl+C ends it)", markup=False),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -68,7 +69,7 @@ class Content:
         """
         path = self.images[view]
         if path is None:
-            raise InputError(f"view {self.scene.view_labels()[view]} has no picture in {self.folder / 'images'}")
+            raise InputError(f"view {self.scene.view_labels()[view]} has no picture")
         picture = check_panorama(read_image(path), str(path))
         if picture.shape[1] > most_px:
             cv2 = load_opencv()
@@ -77,18 +78,20 @@ class Content:
         return encoded(picture, ".jpg", 90)
 
 
-def read_content(folder: str | PathLike[str]) -> Content:
+def read_content(folder: str | PathLike[str], images: str | PathLike[str] | None = None) -> Content:
     """Read what there is to show.
 
     Parameters
     ----------
     folder
         What :func:`panopath.formats.write_scene` or a command wrote, or a COLMAP model.
+    images
+        Folder of the panoramas; default: the one that ``run.json`` names, or else ``images``.
 
     Raises
     ------
     InputError
-        Where the folder holds no scene, or nothing of it is solved.
+        Where the folder holds no scene, nothing of it is solved, or ``images`` is not a folder.
     """
     place = Path(folder)
     scene = _scene(place)
@@ -104,7 +107,10 @@ def read_content(folder: str | PathLike[str]) -> Content:
         certificate: Mapping[str, Any] | None = read_certificate(place)
     except InputError:
         certificate = None
-    return Content(place, scene, colours, _images(place / "images", scene), certificate, tuple(notes))
+    if images is not None and not Path(images).is_dir():
+        raise InputError(f"{images}: there is no such folder of images")
+    pictures = _recorded_images(place) if images is None else Path(images)
+    return Content(place, scene, colours, _images(pictures, scene), certificate, tuple(notes))
 
 
 def _scene(place: Path) -> Scene:
@@ -114,6 +120,15 @@ def _scene(place: Path) -> Scene:
     if scene is None:
         raise InputError(f"{place}: the model has no points")
     return scene
+
+
+def _recorded_images(place: Path) -> Path:
+    """Folder of the panoramas as `panopath reconstruct` recorded it, relative to its own."""
+    try:
+        run = json.loads((place / "run.json").read_text(encoding="utf-8"))
+        return place / str(run["images"]) if isinstance(run["images"], str) else place / "images"
+    except (OSError, ValueError, KeyError, TypeError):
+        return place / "images"
 
 
 def _images(folder: Path, scene: Scene) -> tuple[Path | None, ...]:

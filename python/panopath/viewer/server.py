@@ -150,14 +150,14 @@ def view(
     host: str = "127.0.0.1",
     open_browser: bool = True,
     block: bool = True,
+    images: str | PathLike[str] | None = None,
 ) -> Viewer:
     """Show a scene in a browser: points, path, panoramas to stand in, uncertainty, what is certain.
 
     Parameters
     ----------
     folder
-        What a command or :func:`panopath.formats.write_scene` wrote, or a COLMAP model. Panoramas are looked for in its
-        folder ``images``, by the names of the views.
+        What a command or :func:`panopath.formats.write_scene` wrote, or a COLMAP model.
     port
         Port to serve at; 0 takes a free one.
     host
@@ -166,6 +166,9 @@ def view(
         Whether to open the page.
     block
         Whether to serve until Ctrl+C; else the viewer is handed back at once, to be closed by the caller.
+    images
+        Folder of the panoramas, found by the names of the views; default: the one that ``run.json`` names, or else
+        ``images`` in the folder.
 
     Returns
     -------
@@ -182,7 +185,7 @@ def view(
     if not 0 <= port <= 65_535:
         raise InputError(f"port is {port}, expected a number from 0 to 65535")
     viser = _viser()
-    content = read_content(folder)
+    content = read_content(folder, images)
     _check_free(host, port)
     server = _started(viser, host, port)
     try:
