@@ -35,6 +35,7 @@ from panopath.viewer.shapes import (
     MOST_PARTS,
     REACH,
     Mesh,
+    across,
     ball,
     ellipsoids,
     panorama_sphere,
@@ -199,6 +200,13 @@ def test_parts_stand_apart_or_where_they_are() -> None:
     world = np.concatenate([scene.centers[part.views] for part in together])
     np.testing.assert_allclose(np.diff(shown, axis=0), together[0].scale * np.diff(world, axis=0), atol=1e-12)
     assert np.linalg.norm(apart[0].shown(scene.centers[apart[0].views]), axis=1).max() <= REACH * (1.0 + 1e-12)
+
+
+def test_across_is_along_the_path() -> None:
+    along = np.linspace(-1.0, 2.0, 9)[:, None]
+    np.testing.assert_allclose(across(along * (-3.0, 4.0, 50.0)), (0.6, -0.8, 0.0), atol=1e-12)
+    for few in (along * (0.0, 0.0, 1.0), np.ones((1, 3)), np.zeros((0, 3))):
+        np.testing.assert_allclose(across(few), (1.0, 0.0, 0.0))
 
 
 def test_many_parts_end_as_one() -> None:

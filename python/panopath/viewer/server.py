@@ -19,7 +19,7 @@ from panopath.model import InputError, MissingExtraError
 from panopath.viewer.content import Content, read_content
 from panopath.viewer.layers import Drawing, Ellipsoids, Layer, Pictures, Points, Views, axes, path
 from panopath.viewer.panel import Panel
-from panopath.viewer.shapes import REACH, Part, parts_of
+from panopath.viewer.shapes import REACH, Part, across, parts_of
 from panopath.viewer.visit import Visit
 
 _IN_USE = "{host}, port {port}: is in use; choose another port, or 0 for a free one"
@@ -77,14 +77,16 @@ class Viewer:
         server.on_client_disconnect(self._part_from)
 
     def _aim(self, parts: list[Part]) -> None:
-        """Where the camera starts: from the south and above, all parts in sight."""
+        """Choose where the camera starts: beside the path and above, all parts in sight."""
         places = np.array([part.offset for part in parts])
         middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
         width = REACH + 0.4 * float(np.ptp(places[:, 0]))
+        right = across(self.drawing.centers(0)) if len(parts) == 1 else np.array([1.0, 0.0, 0.0])
+        back = np.cross(right, (0.0, 0.0, 1.0))
         start = self.server.initial_camera
-        start.position = middle + width * np.array([-0.3, -1.25, 0.9])
+        start.position = middle + width * (-0.3 * right + 1.25 * back + np.array([0.0, 0.0, 0.9]))
         # the panel stands over the right of the page
-        start.look_at = middle + width * np.array([0.15, 0.0, 0.0])
+        start.look_at = middle + 0.15 * width * right
         start.up = (0.0, 0.0, 1.0)
 
     @property

@@ -212,6 +212,16 @@ def parts_of(scene: Scene, *, apart: bool) -> list[Part]:
     return parts
 
 
+def across(place: Float) -> Float:
+    """Find the level direction (3,) along which places (n, 3) extend the most, its x not negative; x where all do."""
+    level = place[:, :2] - place[:, :2].mean(axis=0) if len(place) else place[:, :2]
+    values, vectors = np.linalg.eigh(level.T @ level)
+    if values[1] <= 0.0:
+        return np.array([1.0, 0.0, 0.0])
+    x, y = vectors[:, 1] * (1.0 if vectors[0, 1] >= 0.0 else -1.0)
+    return np.array([x, y, 0.0])
+
+
 def _groups(scene: Scene) -> Sequence[tuple[str, Ids, Ids]]:
     """Name, views and points of each part, the largest first; the smallest ones together, as one."""
     has_center, has_point = np.isfinite(scene.centers).all(axis=1), np.isfinite(scene.points).all(axis=1)
