@@ -10,6 +10,7 @@ from panopath.cli.map import map_command
 from panopath.cli.reconstruct import reconstruct_command
 from panopath.cli.simulate import simulate_command
 from panopath.cli.solve import solve
+from panopath.cli.view import view_command
 
 __all__ = ["app", "main"]
 
@@ -22,6 +23,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate_command,
     "evaluate": evaluate_command,
     "demo": demo,
+    "view": view_command,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name, epilog=EXIT_HELP)(_command)
