@@ -1,6 +1,7 @@
 """From pictures to features and matches: what a source is, which frames to measure in, what they share."""
 
 from panopath.frontend.features import FeatureOptions, Features, extract_features
+from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import ImageHeader, image_files, read_header, read_image
 from panopath.frontend.matching import ImageMatches, MatchingOptions, candidate_pairs, match_images
 from panopath.frontend.pictures import FrontEndOptions, Measured, Picture, measure
@@ -19,6 +20,8 @@ from panopath.frontend.video import (
 __all__ = [
     "FeatureOptions",
     "Features",
+    "FixedContent",
+    "FixedOptions",
     "FrontEndOptions",
     "ImageHeader",
     "ImageMatches",
@@ -35,6 +38,7 @@ __all__ = [
     "candidate_pairs",
     "choose_keyframes",
     "extract_features",
+    "find_fixed",
     "image_files",
     "match_images",
     "measure",
@@ -43,4 +47,5 @@ __all__ = [
     "read_image",
     "recognise",
     "video_motion",
+    "without_fixed",
 ]

@@ -145,7 +145,7 @@ def without_fixed(features: Features, bearings: npt.ArrayLike, content: FixedCon
     covered = content.covers(bearings)
     if len(covered) != len(features):
         raise InputError(f"bearings has {len(covered)} rows, expected {len(features)}, one for each feature")
-    return features if not covered.any() else Features(features.pixels[~covered], features.descriptors[~covered])
+    return features if not covered.any() else features.select(~covered)
 
 
 def find_fixed(

@@ -26,6 +26,7 @@ from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.database import Database, database_of_features
 from panopath.frontend.extras import opencv
 from panopath.frontend.features import FeatureOptions, Features, extract_features
+from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
 from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
 from panopath.frontend.sources import Source, SourceKind
@@ -65,6 +66,8 @@ class FrontEndOptions:
     video: VideoOptions = field(default_factory=VideoOptions)
     #: Whether the pictures of a folder were taken in the order of their names.
     in_sequence: bool = True
+    #: Whether to look for what is fixed to the camera, such as who carries it, and to leave it out.
+    find_fixed: bool = True
 
     def __post_init__(self) -> None:
         if isinstance(self.width, bool) or not isinstance(self.width, int) or self.width < 128:
@@ -98,6 +101,8 @@ class Measured:
     time_s: Float
     frame_index: Int | None
     motion: VideoMotion | None
+    #: Of each camera what goes with it; empty where that was not sought.
+    fixed: tuple[FixedContent, ...]
     #: Names of pictures with too few features to say anything.
     empty: tuple[str, ...]
     #: Seconds of each stage.
@@ -168,9 +173,16 @@ def measure(
     full = [
         _with_bearings(cameras[c], _scaled(found, full_size[c])) for found, c in zip(features, camera_of, strict=True)
     ]
-    key = key_of(key, chosen.matching, chosen.in_sequence)
+    rays = [_rays(cameras[c], found) for c, found in zip(camera_of, full, strict=True)]
+    pixel_rad = [_pixel_rad(camera) * span for camera, span in zip(cameras, spans.tolist(), strict=True)]
     say("matching", 0, 0)
-    matches = Store(store, key).matches(lambda: _match(source, full, cameras, spans, chosen))
+    fixed: tuple[FixedContent, ...] = ()
+    if chosen.find_fixed:
+        fixed = _fixed(full, rays, camera_of, pixel_rad, chosen)
+        full = [without_fixed(*one, fixed[c]) for *one, c in zip(full, rays, camera_of, strict=True)]
+        rays = [_rays(cameras[c], found) for c, found in zip(camera_of, full, strict=True)]
+    key = key_of(key, chosen.matching, chosen.in_sequence, chosen.find_fixed)
+    matches = Store(store, key).matches(lambda: _match(source, full, rays, float(np.median(pixel_rad)), chosen))
     seconds["matching"] = time.perf_counter() - begin
     if not len(matches.pairs):
         raise InputError(
@@ -196,7 +208,7 @@ def measure(
     )
     index = None if keyframes is None else keyframes.astype(np.int32)
     times = np.array([one.time_s for one in looked])
-    return Measured(source, database, tuple(full), matches, times, index, motion, empty, seconds, key)
+    return Measured(source, database, tuple(full), matches, times, index, motion, fixed, empty, seconds, key)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,16 +361,21 @@ def _with_bearings(camera: Camera, found: Features) -> Features:
     return found if bool(known.all()) else found.select(np.asarray(known))
 
 
+def _fixed(
+    features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], options: FrontEndOptions
+) -> tuple[FixedContent, ...]:
+    """What is fixed to each camera."""
+    found = []
+    for camera, angle in enumerate(pixel_rad):
+        own = np.flatnonzero(camera_of == camera).tolist()
+        sought = FixedOptions(seed=options.matching.seed)
+        found.append(find_fixed([features[k] for k in own], [rays[k] for k in own], angle, sought))
+    return tuple(found)
+
+
 def _match(
-    source: Source,
-    features: list[Features],
-    cameras: tuple[Camera, ...],
-    spans: Float,
-    options: FrontEndOptions,
+    source: Source, features: list[Features], rays: list[Float], pixel_rad: float, options: FrontEndOptions
 ) -> ImageMatches:
-    camera_of = _camera_of(source, len(features))
-    rays = [_rays(cameras[c], found) for c, found in zip(camera_of, features, strict=True)]
-    pixel_rad = float(np.median([_pixel_rad(camera) * span for camera, span in zip(cameras, spans, strict=True)]))
     pairs = None
     if source.kind is SourceKind.RIG:
         pairs = _pairs_of_frames(source.image_frame, options)

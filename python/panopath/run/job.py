@@ -214,6 +214,14 @@ def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
         said.append(f"{n_solved} of {n_views} {'moments' if measured.database.has_rigs else 'pictures'} placed")
     if found.is_locked:
         said.append("the camera keeps its direction, so that positions were solved at once")
+    for content in measured.fixed:
+        if content.share > 0.0:
+            said.append(f"{100.0 * content.share:.1f} % of the sphere goes with the camera and was left out")
+        elif content.refused_share > 0.0:
+            said.append(
+                f"{100.0 * content.refused_share:.0f} % of the sphere seems to go with the camera: too much to believe, "
+                "nothing was masked"
+            )
     if measured.empty:
         names = ", ".join(measured.empty[:5]) + (" ..." if len(measured.empty) > 5 else "")
         said.append(f"{len(measured.empty)} pictures show nothing to measure: {names}")

@@ -23,6 +23,7 @@ from panopath.formats.geo import GeoPath, write_geojson, write_gpx
 from panopath.formats.models import Reconstruction, write_models
 from panopath.formats.nerfstudio import write_nerfstudio
 from panopath.frontend import Measured, Picture, Source, SourceKind
+from panopath.frontend.images import masks_of, read_mask
 from panopath.frontend.video import read_frames
 from panopath.georeference import Georeference
 from panopath.images import encoded
@@ -68,6 +69,55 @@ class ImageKeeper:
             return [None] * len(scene.centers)
         paths = [self.folder / name for name in scene.view_labels()]
         return [path if path.exists() else None for path in paths]
+
+
+class Masks:
+    """What of the pictures counts: what the user gave, without what is fixed to the camera. White counts."""
+
+    def __init__(self, measured: Measured, options: RunOptions) -> None:
+        source = measured.source
+        self._measured, self._camera = measured, source.cameras[0]
+        names = measured.database.image_names
+        images = list(source.images) if source.images else [Path(name) for name in names]
+        self._given = masks_of(options.masks, images)
+        self._is_one = options.masks is None or options.masks.is_file()
+        self._fixed = measured.fixed[0] if source.is_panoramic and measured.fixed else None
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything is masked."""
+        return any(self._given) or (self._fixed is not None and self._fixed.share > 0.0)
+
+    def of(self, view: int) -> npt.NDArray[np.uint8] | None:
+        """(height, width) mask of a view."""
+        width, height = self._camera.width, self._camera.height
+        counts = np.ones((height, width), dtype=np.bool_)
+        if self._fixed is not None:
+            counts &= ~self._fixed.mask(width, height)
+        given = self._given[view]
+        if given is not None:
+            mask = read_mask(given)
+            rows = np.arange(height) * mask.shape[0] // height
+            columns = np.arange(width) * mask.shape[1] // width
+            counts &= mask[rows[:, None], columns]
+        return np.where(counts, 255, 0).astype(np.uint8)
+
+    def write(self, out: Path) -> list[str | None]:
+        """Write them; gives the file of each view, path from ``out``."""
+        names = self._measured.database.image_names
+        if self._is_one:
+            mask = self.of(0)
+            if mask is not None:
+                write_bytes(out / "mask.png", encoded(mask, ".png"))
+            return ["mask.png"] * len(names)
+        files: list[str | None] = []
+        for view, name in enumerate(names):
+            mask, file = self.of(view), f"masks/{name}.png"
+            if mask is not None:
+                (out / file).parent.mkdir(parents=True, exist_ok=True)
+                write_bytes(out / file, encoded(mask, ".png"))
+            files.append(file)
+        return files
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +173,24 @@ def write_outputs(
         "colmap/0/images.bin": "COLMAP model",
     }
     pictures = keeper.files(scene)
+    masks = Masks(answer.measured, answer.options)
+    mask_files = masks.write(out) if source.is_panoramic and masks.is_any else None
+    if mask_files is not None:
+        files[mask_files[0] or "mask.png"] = "masks: what is white was measured"
     if any(pictures):
         relative = [None if path is None else Path(os.path.relpath(path, out)).as_posix() for path in pictures]
-        write_nerfstudio(scene, relative, out, (camera.width, camera.height), colours=colours)
+        write_nerfstudio(scene, relative, out, (camera.width, camera.height), colours=colours, masks=mask_files)
         files |= {"transforms.json": "nerfstudio, panoramas", "points.ply": "its points"}
     files |= _write_path(scene, answer.placed.georeference, out)
     if answer.options.crops is not None and any(pictures):
         report("cutting crops", 0, len(pictures))
         done = write_crops(
-            scene, pictures, out / "crops", answer.options.crops, report=lambda k, n: report("cutting crops", k, n)
+            scene,
+            pictures,
+            out / "crops",
+            answer.options.crops,
+            masks=None if mask_files is None else masks.of,
+            report=lambda k, n: report("cutting crops", k, n),
         )
         files["crops/transforms.json"] = f"{done.n_images} pinhole crops with COLMAP model and transforms.json"
     _write_run(answer, keeper, out)
