@@ -41,13 +41,12 @@ pub(super) fn facade(house: &House, face: u32, width: f32, height: f32, spot: &S
         let shade = spot.in_v(height - 0.7, height - 0.55);
         colour = mix(colour, lit(stone, 1.0 - 0.3 * shade), lesser(ledges, 1.0));
     }
-    let dirt = 1.0 + 0.14 * noise(spot.u * (1.0 / 0.7), spot.v * 0.2, salt);
     if spot.v > SHOP_M {
-        return lit(colour, dirt);
+        return colour;
     }
     // a base of stone; dirt from the ground, and under ledges
     colour = mix(colour, [0.34, 0.33, 0.32], 0.6 * spot.in_v(0.0, 0.45));
-    lit(colour, dirt - spot.in_v(0.0, 1.2) * 0.12 - spot.in_v(SHOP_M - 0.5, SHOP_M - 0.16) * 0.15)
+    lit(colour, 1.0 - spot.in_v(0.0, 1.2) * 0.12 - spot.in_v(SHOP_M - 0.5, SHOP_M - 0.16) * 0.15)
 }
 
 /// Bricks or plaster, with what years have done to them.
@@ -84,17 +83,22 @@ fn window(house: &House, salt: u32, bits: u32, on_wall: &Spot, place: [f32; 2]) 
     let [half, high] = house.window_m;
     let spot = &on_wall.about(place[0], place[1]);
     let pane = spot.in_rectangle((-half, half), (0.0, high));
-    let mut colour = [0.0; 3];
-    if pane < 1.0 {
-        colour = fittings(wall(house, salt, on_wall), house, hash(3, 5, bits), spot);
+    if pane >= 1.0 && (bits & 3 != 0 || spot.v > 0.3) {
+        return glass(half, high, bits, spot);
+    }
+    let mut colour = fittings(wall(house, salt, on_wall), house, hash(3, 5, bits), spot);
+    // beyond its frame and its sill there is nothing of the window but the rain that has run down from it
+    if spot.u.abs() < half + 0.3 + spot.w_u {
+        if spot.v < -0.1 {
+            let runs = clamp(1.5 * noise(spot.u * 9.0, spot.v * 0.9, bits)) * clamp(1.0 + 1.2 * spot.v);
+            let runs = runs * spot.in_rectangle((-half - 0.25, half + 0.25), (-0.9, -0.2));
+            let shadow = spot.in_rectangle((-half - 0.15, half + 0.15), (-0.28, -0.2));
+            colour = lit(colour, 1.0 - 0.45 * shadow - 0.3 * runs);
+        }
         let frame = spot.in_rectangle((-half - 0.1, half + 0.1), (-0.1, high + 0.12));
         let sill = spot.in_rectangle((-half - 0.2, half + 0.2), (-0.2, -0.1));
-        let shadow = spot.in_rectangle((-half - 0.15, half + 0.15), (-0.28, -0.2));
-        // rain runs down from the ends of the sill
-        let runs = clamp(1.5 * noise(spot.u * 9.0, spot.v * 0.9, bits)) * clamp(1.0 + 1.2 * spot.v);
-        let runs = runs * spot.in_rectangle((-half - 0.25, half + 0.25), (-0.9, -0.2));
         let trim = lit(house.trim, 0.84 + 0.26 * byte(bits, 2));
-        colour = mix(lit(colour, 1.0 - 0.45 * shadow - 0.3 * runs), trim, greater(frame, sill));
+        colour = mix(colour, trim, greater(frame, sill));
     }
     if pane > 0.0 {
         colour = mix(colour, glass(half, high, bits, spot), pane);
@@ -113,6 +117,9 @@ fn window(house: &House, salt: u32, bits: u32, on_wall: &Spot, place: [f32; 2]) 
 fn fittings(wall: Colour, house: &House, bits: u32, spot: &Spot) -> Colour {
     let [half, high] = house.window_m;
     let mut colour = wall;
+    if spot.u.abs() + 0.5 * spot.w_u < half {
+        return colour;
+    }
     let side = if bits & 1 == 0 { 1.0 } else { -1.0 };
     let (at_u, at_v) = (side * (half + 0.3 + 0.3 * byte(bits, 1)), -0.7 + 2.2 * byte(bits, 2));
     let size = [0.08 + 0.3 * byte(bits, 3), 0.1 + 0.35 * byte(bits, 1)];
@@ -152,7 +159,7 @@ fn fittings(wall: Colour, house: &House, bits: u32, spot: &Spot) -> Colour {
 fn glass(half: f32, high: f32, bits: u32, spot: &Spot) -> Colour {
     let more = hash(1, 2, bits);
     let room = mix(GLASS, [0.5, 0.42, 0.3], 0.6 * byte(more, 0) * byte(more, 1));
-    let mut colour = lit(room, 0.9 + 0.8 * mottle(spot, 0.8, bits));
+    let mut colour = lit(room, 0.9 + 0.5 * noise(spot.u * 1.9, spot.v * 1.9, bits));
     if spot.v < 0.6 {
         colour = on_sill(colour, half, bits, more, spot);
     }
@@ -257,7 +264,7 @@ fn shop_window(bits: u32, half: f32, wood: Colour, spot: &Spot) -> Colour {
         colour = mix(colour, mix([0.92, 0.9, 0.84], [0.6, 0.1, 0.12], text), bill);
     }
     let roof = spot.above(1.0 + 1.2 * byte(bits, 0), 1.4 * (byte(bits, 2) - 0.5));
-    let reflected = 0.1 + 0.16 * roof + 0.3 * greater(mottle(spot, 1.2, bits), 0.0);
+    let reflected = 0.1 + 0.16 * roof + 0.3 * greater(noise(spot.u * 1.3, spot.v * 1.3, bits), 0.0);
     colour = mix(colour, [0.6, 0.66, 0.72], clamp(reflected));
     mix(colour, wood, spot.in_u(0.3 * half - 0.04, 0.3 * half + 0.04))
 }
