@@ -179,7 +179,7 @@ def measure(
     fixed: tuple[FixedContent, ...] = ()
     if chosen.find_fixed:
         fixed = _fixed(full, rays, camera_of, pixel_rad, chosen)
-        full = [without_fixed(*one, fixed[c]) for *one, c in zip(full, rays, camera_of, strict=True)]
+        full = [without_fixed(found, ray, fixed[c]) for found, ray, c in zip(full, rays, camera_of, strict=True)]
         rays = [_rays(cameras[c], found) for c, found in zip(camera_of, full, strict=True)]
     key = key_of(key, chosen.matching, chosen.in_sequence, chosen.find_fixed)
     matches = Store(store, key).matches(lambda: _match(source, full, rays, float(np.median(pixel_rad)), chosen))
@@ -364,7 +364,7 @@ def _with_bearings(camera: Camera, found: Features) -> Features:
 def _fixed(
     features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], options: FrontEndOptions
 ) -> tuple[FixedContent, ...]:
-    """What is fixed to each camera."""
+    """Find what is fixed to each camera."""
     found = []
     for camera, angle in enumerate(pixel_rad):
         own = np.flatnonzero(camera_of == camera).tolist()

@@ -219,8 +219,8 @@ def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
             said.append(f"{100.0 * content.share:.1f} % of the sphere goes with the camera and was left out")
         elif content.refused_share > 0.0:
             said.append(
-                f"{100.0 * content.refused_share:.0f} % of the sphere seems to go with the camera: too much to believe, "
-                "nothing was masked"
+                f"{100.0 * content.refused_share:.0f} % of the sphere seems to go with the camera: more than is "
+                "believed, so nothing was masked"
             )
     if measured.empty:
         names = ", ".join(measured.empty[:5]) + (" ..." if len(measured.empty) > 5 else "")
