@@ -25,7 +25,7 @@ export PROPTEST_RNG_SEED := 2007
 
 ## Use
 
-demo: $(STAMPS)/package $(STAMPS)/plot  ## build, then simulate a walk, solve it and compare with the truth
+demo: $(STAMPS)/package $(STAMPS)/video $(STAMPS)/images  ## build, then film a walk, reconstruct it and compare with the truth
 	$(BIN)/panopath demo
 
 install: $(STAMPS)/package $(STAMPS)/plot  ## build the package into .venv, with what the pictures need
@@ -79,6 +79,7 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python docs/figures.py
 	$(BIN)/python -m docs.figures_certificate
 	$(BIN)/python -m docs.figures_counting
+	$(BIN)/python -m docs.figures_view
 
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist
 	$(BIN)/maturin build --release --out dist
@@ -104,7 +105,7 @@ $(STAMPS)/package: $(STAMPS)/venv pyproject.toml $(RUST_SOURCES)
 	@touch $@
 
 # The package is there already, so pip adds only what its extra names.
-$(STAMPS)/plot $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
+$(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
 	$(BIN)/python -m pip install --quiet 'panopath[$(@F)]'
 	@touch $@
 

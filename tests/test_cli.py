@@ -158,7 +158,7 @@ def test_control(run: Run, tmp_path: Path) -> None:
         (("simulate", "box", "-o", "m.csv", "--set", "bogus=1"), "no such option"),
         (("simulate", "box", "-o", "m.csv", "--set", "seed=1"), "use --seed"),
         (("simulate", "box", "-o", "m.csv", "--set", "seed"), "expected name=value"),
-        (("demo", "-o", "mine"), "not panopath's"),
+        (("demo-bearings", "-o", "mine"), "not panopath's"),
         (("fly",), "fly"),
     ],
 )
@@ -190,8 +190,8 @@ def test_overwrite_when_asked(run: Run, tmp_path: Path) -> None:
     assert run("solve", "b.csv", "-o", "mine").code == 0  # it is panopath's now
 
 
-def test_demo(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", "--views", "30", "--points", "1500", "--json")
+def test_demo_of_bearings(run: Run, tmp_path: Path) -> None:
+    ran = run("demo-bearings", "--views", "30", "--points", "1500", "--json")
     assert ran.code == 0
     found = ran.json
     assert found["status"] == "converged"
@@ -203,7 +203,7 @@ def test_demo(run: Run, tmp_path: Path) -> None:
     assert np.sqrt(np.mean(np.sum((written.centers - world.centers) ** 2, axis=1))) == pytest.approx(
         found["camera_rms"]
     )
-    again = run("demo", "--views", "30", "--points", "1500", "-o", "panopath-demo", "--no-plots")
+    again = run("demo-bearings", "--views", "30", "--points", "1500", "-o", "panopath-demo", "--no-plots")
     assert again.code == 0
     assert "Cramer-Rao" in again.out
     assert not (tmp_path / "panopath-demo" / "views.png").exists()

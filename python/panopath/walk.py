@@ -7,7 +7,7 @@ The frames are those of COLMAP's ``EQUIRECTANGULAR`` camera, 8-bit RGB, made one
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -101,7 +101,7 @@ class Walk:
         """Render all frames, one after the other; none is kept."""
         return (self.frame(index) for index in range(len(self)))
 
-    def write_video(self, path: str | Path, *, crf: int = 20) -> Path:
+    def write_video(self, path: str | Path, *, crf: int = 20, report: Callable[[int], None] | None = None) -> Path:
         """Film the walk into a file.
 
         Parameters
@@ -111,6 +111,8 @@ class Walk:
         crf
             Quality of H.264, 0 (no loss) to 51; 20 is good. Where PyAV has no encoder for H.264, MPEG-4 is written with
             a quantiser of about the same effect.
+        report
+            Called with the number of frames done.
 
         Returns
         -------
@@ -130,12 +132,12 @@ class Walk:
         path = Path(path)
         try:
             with av.open(str(path), "w") as container:
-                self._encode(av, container, crf)
+                self._encode(av, container, crf, report)
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: cannot be written ({error})") from None
         return path
 
-    def _encode(self, av: Any, container: Any, crf: int) -> None:
+    def _encode(self, av: Any, container: Any, crf: int, report: Callable[[int], None] | None) -> None:
         name = next(name for name in _ENCODERS if name in av.codecs_available)
         stream = container.add_stream(name, rate=Fraction(self.frame_rate_hz).limit_denominator(1000))
         stream.width, stream.height = self.size_px
@@ -144,8 +146,10 @@ class Walk:
             stream.options = {"crf": str(crf), "preset": "veryfast"}
         else:
             stream.codec_context.qmin = stream.codec_context.qmax = max(1, round(31 * crf / 51 / 3))
-        for frame in self.frames():
+        for done, frame in enumerate(self.frames(), 1):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+            if report is not None:
+                report(done)
         container.mux(stream.encode(None))
 
     def write_images(self, folder: str | Path, *, every: int = 1, quality: int | None = 95) -> list[Path]:

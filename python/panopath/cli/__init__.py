@@ -5,6 +5,7 @@ from collections.abc import Callable
 from panopath.cli.app import EXIT_HELP, app, main
 from panopath.cli.check import check
 from panopath.cli.demo import demo
+from panopath.cli.demo_bearings import demo_bearings
 from panopath.cli.evaluate import evaluate_command
 from panopath.cli.map import map_command
 from panopath.cli.reconstruct import reconstruct_command
@@ -23,6 +24,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "simulate": simulate_command,
     "evaluate": evaluate_command,
     "demo": demo,
+    "demo-bearings": demo_bearings,
     "view": view_command,
 }
 for _name, _command in _COMMANDS.items():

@@ -1,113 +1,105 @@
-"""``panopath demo``: a walk simulated, solved and compared."""
+"""``panopath demo``: a walk filmed, reconstructed and compared with the truth; nothing is downloaded."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
+import json
+import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
 from rich.console import Console
 
-from panopath.certificate import Certificate
-from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
-from panopath.cli.certifying import Drawing, brief, certified, write_folder
-from panopath.cli.tables import show_scene
+from panopath.cli.app import EXIT_UNDETERMINED, AsJson, Overwrite, Quiet, Terminal
+from panopath.cli.reconstruct import plain, progress, run, show
 from panopath.evaluate import Evaluation, evaluate
-from panopath.formats.folder import check_writable
-from panopath.model import (
-    PositionOptions,
-    Scene,
-    summary_dict,
-)
-from panopath.steps import CertifyOptions, position_covariance, solve_positions
-from panopath.synthetic import SyntheticWorld, simulate
+from panopath.formats.files import write_bytes
+from panopath.model import Float, InputError
+from panopath.run import Reconstructed, RunOptions
+from panopath.run.job import check_folder
+from panopath.walk import Walk, render_walk
+
+_FILM, _SETTINGS = "walk.mp4", "walk.json"
 
 
 def demo(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")] = Path("panopath-demo"),
-    views: Annotated[int, typer.Option(min=3, help="Number of views, 1 m apart.")] = 100,
-    points: Annotated[int, typer.Option(min=10, help="Number of points.")] = 10_000,
-    noise_deg: Annotated[float, typer.Option(min=0.0, help="Angular noise, one standard deviation.")] = 0.05,
-    outliers: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of bearings that are wrong.")] = 0.2,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 1,
+    frames: Annotated[int, typer.Option(min=20, help="Frames of the film, 10 a second, 14 cm apart.")] = 240,
+    width: Annotated[int, typer.Option(min=256, help="Width of the film.")] = 1280,
+    path: Annotated[Literal["straight", "corner", "loop"], typer.Option(help="Where the walk leads.")] = "corner",
+    rotation: Annotated[Literal["none", "sway", "tumble"], typer.Option(help="How the camera turns.")] = "sway",
+    cars: Annotated[int, typer.Option(min=0, max=100, help="Cars that pass by.")] = 0,
+    operator: Annotated[float, typer.Option(min=0.0, max=0.5, help="Share of the sphere that the operator hides.")] = (
+        0.0
+    ),
+    exposure: Annotated[float, typer.Option(min=0.0, max=4.0, help="Drift of the exposure, factors of two.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    show_report: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Do everything again, whatever an earlier run left.")] = False,
     overwrite: Overwrite = False,
-    no_plots: NoPlots = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate a street walk with noise and outliers, solve it, and compare with the truth. Needs no download."""
+    """Film a walk through a street with a 360 camera, reconstruct it, and compare with the truth. Needs no download."""
     terminal = Terminal(as_json, quiet)
-    check_writable(out, overwrite)
-    with terminal.working("simulating"):
-        world = simulate(
-            "street",
-            n_views=views,
-            n_points=points,
-            seed=seed,
-            outlier_fraction=outliers,
-            noise_rad=float(np.radians(noise_deg)),
-        )
-    begin = time.perf_counter()
-    with terminal.working("solving"):
-        scene = solve_positions(world.tracks)
-    seconds = time.perf_counter() - begin
-    result = evaluate(scene, world, "translation_scale")
-    with terminal.working("finding the best that is possible"):
-        expected = _expected_rms(world)
-    in_metres = replace(scene, centers=result.aligned_centers, points=result.aligned_points)
-    certificate = certified(terminal, in_metres, CertifyOptions())
-    with terminal.working("writing"):
-        drawing = None if no_plots else Drawing(terminal, world.centers, "m")
-        pictures = write_folder(in_metres, certificate, out, PositionOptions(), overwrite, drawing)
-    plain = (
-        summary_dict(scene.summary)
-        | result.to_dict()
-        | {"certificate": brief(certificate, in_metres), "expected_camera_rms": expected}
-        | {"wall_s": seconds, "out": str(out)}
-    )
+    check_folder(out, overwrite)
+    settings: dict[str, Any] = {
+        "width_px": width,
+        "n_frames": frames,
+        "path": path,
+        "rotation": rotation,
+        "n_movers": cars,
+        "operator_share": operator,
+        "exposure_drift_stops": exposure,
+        "seed": seed,
+    }
+    walk = render_walk(**settings)
+    film = _film(terminal, walk, settings, out, force=force)
+    height = float(np.median(walk.truth.centers[:, 2]))
+    done = run(terminal, film, out, RunOptions(camera_height_m=height), force=force, overwrite=True)
+    truth = walk.truth.centers[[_frame_of(name) for name in done.scene.view_labels()]]
+    result = evaluate(done.scene, truth, "similarity")
+    length = float(np.linalg.norm(np.diff(walk.truth.centers, axis=0), axis=1).sum())
     terminal.answer(
-        plain,
-        lambda console: _show_demo(console, in_metres, certificate, world, result, expected, seconds, out, pictures),
+        plain(done) | result.to_dict() | {"path_length_m": length, "out": str(out)},
+        lambda console: _show(console, done, result, length, truth),
     )
-    if not scene.summary.status.is_determined:
+    if show_report:
+        webbrowser.open((out / "report.html").resolve().as_uri())
+    if not done.is_determined:
         raise typer.Exit(EXIT_UNDETERMINED)
 
 
-def _expected_rms(world: SyntheticWorld) -> float:
-    """Root mean square camera error of the best estimator, told which bearings are wrong (Cramer-Rao)."""
-    if world.noise_rad <= 0.0:
-        return 0.0
-    tracks = replace(world.tracks, sigma_rad=np.full(len(world.tracks), world.noise_rad))
-    covariance = position_covariance(tracks, (world.centers, world.points), inlier=~world.outlier)
-    return float(np.sqrt(np.nanmean(np.trace(covariance, axis1=1, axis2=2))))
+def _film(terminal: Terminal, walk: Walk, settings: dict[str, Any], out: Path, *, force: bool) -> Path:
+    """Render the walk, unless the same film is there already."""
+    film, beside = out / _FILM, out / _SETTINGS
+    content = (json.dumps(settings, indent=1) + "\n").encode()
+    if not force and film.is_file() and beside.is_file() and beside.read_bytes() == content:
+        return film
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    with progress(terminal) as report:
+        walk.write_video(film, report=lambda done: report("filming", done, len(walk)))
+    # only a film that was finished is taken for one
+    write_bytes(beside, content)
+    return film
 
 
-def _show_demo(  # noqa: PLR0917 (prints what was found, all of it)
-    console: Console,
-    scene: Scene,
-    certificate: Certificate,
-    world: SyntheticWorld,
-    result: Evaluation,
-    expected: float,
-    seconds: float,
-    out: Path,
-    pictures: bool,
-) -> None:
+def _frame_of(name: str) -> int:
+    """Read the number of the frame that a keyframe is called by."""
+    return int(name.removeprefix("frame_").split(".")[0])
+
+
+def _show(console: Console, done: Reconstructed, result: Evaluation, length: float, truth: Float) -> None:
+    show(console, done)
+    error = result.camera_rms
     console.print(
-        f"A street walk: {world.tracks.n_views:,} views 1 m apart, {world.tracks.n_tracks:,} points, noise "
-        f"{np.degrees(world.noise_rad):g} degrees, {100.0 * float(world.outlier.mean()):.1f} % of the bearings wrong."
+        f"path of {length:.1f} m, positions against the truth: {1e3 * error:.2f} mm rms, "
+        f"{100.0 * error / length:.4f} % of the path ({result.n_views} of {len(truth)} keyframes)"
     )
-    show_scene(console, scene, certificate, seconds, out, pictures)
-    found = scene.inlier
-    missed = int((found & world.outlier).sum())
-    lost = int((~found & ~world.outlier).sum())
-    console.print(f"wrong bearings kept: {missed:,} of {int(world.outlier.sum()):,}; good ones dropped: {lost:,}")
-    console.print(f"camera error against truth:     {1e3 * result.camera_rms:.4g} mm rms")
-    if expected > 0.0:
-        console.print(f"expected of the best estimator: {1e3 * expected:.4g} mm rms (Cramer-Rao bound)")
-        ratio = result.camera_rms / expected
-        console.print(f"ratio: {ratio:.2f} (single runs scatter around 1: a few slow bends of the path rule the error)")
+    console.print(f"metres from the camera's height are {100.0 * abs(result.scale - 1.0):.2f} % off")

@@ -105,7 +105,7 @@ def reconstruct(
     seconds: dict[str, float] = {}
     with _timed(seconds, "all"):
         recognised = recognise(source, rig=chosen.rig)
-        _check_folder(folder, overwrite)
+        check_folder(folder, overwrite)
         store = Checkpoints(folder / _WORK)
         if force:
             store.clear()
@@ -150,7 +150,14 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     seconds[stage] = time.perf_counter() - begin
 
 
-def _check_folder(folder: Path, overwrite: bool) -> None:
+def check_folder(folder: Path, overwrite: bool) -> None:
+    """Say now, before long work, whether :func:`reconstruct` would refuse to write here.
+
+    Raises
+    ------
+    InputError
+        Where it would.
+    """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file, expected a folder to write to")
     known = overwrite or is_scene_folder(folder) or Checkpoints.is_at(folder / _WORK)

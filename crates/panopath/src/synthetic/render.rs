@@ -2,8 +2,9 @@
 //!
 //! The colour of a pixel is that of the first thing along `world_from_cam * bearing(pixel)` from the centre, averaged over
 //! the solid angle of a pixel: surfaces average themselves (`filter`, `surfaces`), thin things cover a known share of the
-//! pixel, and of pixels on edges between solids [`SAMPLES`] say how much each solid has of them. Frames are COLMAP's `EQUIRECTANGULAR`,
-//! `width x width / 2` pixels of 8-bit RGB, row by row. World z is up, the ground is `z = 0`, metres and seconds.
+//! pixel, and on edges between solids eight samples say how much of the pixel each of them has. Frames are COLMAP's
+//! `EQUIRECTANGULAR`, `width x width / 2` pixels of 8-bit RGB, row by row. World z is up, the ground is `z = 0`, metres and
+//! seconds.
 //!
 //! The city is a grid of streets without end: their middles lie at x = multiples of 75 m and y = multiples of 52 m,
 //! kerbs 4 m and houses 8 m from these. Middles are marked by dashes that start at multiples of 6 m and are 3 m long.
@@ -392,11 +393,11 @@ impl<'a> Shot<'a> {
     }
 
     /// One row: its bytes, and what it shows. Towards the poles columns are closer than a footprint is wide, and only every
-    /// second, fourth or eighth pixel is looked at; those between two that show the same solid are interpolated.
+    /// second, fourth or eighth pixel is looked at, less than 0.7 footprints apart; those between two that show the same solid are interpolated.
     fn see_row(&self, y: usize, row: &mut [[u8; 3]], shown: &mut [u32]) {
         let mut veils = Vec::new();
         let (width, level) = (row.len(), self.rows[y][1]);
-        let stride = [8, 4, 2].into_iter().find(|&n| level * n as f64 <= 1.0 && width.is_multiple_of(n)).unwrap_or(1);
+        let stride = [8, 4, 2].into_iter().find(|&n| level * n as f64 <= 0.7 && width.is_multiple_of(n)).unwrap_or(1);
         let mut see = |x: usize| self.see(x, y, &self.middle(x, y), &mut veils);
         let first = see(0);
         let mut before = first;
