@@ -11,7 +11,7 @@ import errno
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -210,7 +210,8 @@ def _certified(source: Source, scene: Scene, options: RunOptions) -> Certificate
     """Certify the scene; rays of a rig start beside its centre, of which the certificate knows nothing."""
     if scene.tracks is None or _has_levers(source):
         return None
-    return certify(scene.tracks, scene, options.certify)
+    # the mapper's sigmas weigh features against one another; how large the noise is, the residuals tell
+    return certify(replace(scene.tracks, sigma_rad=None), scene, options.certify)
 
 
 def _has_levers(source: Source) -> bool:
