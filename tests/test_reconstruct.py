@@ -167,7 +167,7 @@ def test_colmap_model(made: Reconstructed) -> None:
         picture = read_image(made.folder / "images" / image.name)
         assert picture.shape == (320, 640, 3)
         np.testing.assert_allclose(image.projection_center(), scene.centers[index[image.name]], atol=1e-9)
-    assert model.num_points3D() == scene.summary.n_solved_tracks
+    assert model.num_points3D() == scene.summary.n_solved_points
     assert 0.0 < model.compute_mean_reprojection_error() < 1.0
     colours = np.array([point.color for point in model.points3D.values()])
     assert len(np.unique(colours, axis=0)) > 100

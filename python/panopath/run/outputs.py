@@ -72,7 +72,8 @@ class ImageKeeper:
 
     def files(self, scene: Scene) -> list[Path | None]:
         """Panorama of each view, None where there is none."""
-        if not self._source.is_panoramic:
+        is_kept = self._source.kind is not SourceKind.VIDEO or self._options.keep_images
+        if not (self._source.is_panoramic and is_kept):
             return [None] * len(scene.centers)
         paths = [self.folder / name for name in scene.view_labels()]
         return [path if path.exists() else None for path in paths]
@@ -288,6 +289,7 @@ def _remove(out: Path, names: set[str]) -> None:
             continue
         if name == _CROPS:
             shutil.rmtree(stale, ignore_errors=True)
+            continue
         with contextlib.suppress(OSError):
             stale.unlink(missing_ok=True)
             if stale.parent != out:
