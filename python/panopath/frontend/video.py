@@ -170,7 +170,8 @@ class _open:  # noqa: N801 a function to its callers
 
 def _has_no_index(path: Path) -> bool:
     """Whether a file is an MP4 without the box that says where its frames are, which cameras write last."""
-    kinds, place = [], 0
+    kinds: list[bytes] = []
+    place = 0
     try:
         size = path.stat().st_size
         with path.open("rb") as file:

@@ -243,9 +243,7 @@ def _placed(measured: Measured, found: Mapped, options: RunOptions) -> Placed:
             _has_levers(source),
         )
     except InputError as error:
-        raise InputError(
-            f"{error}; all else is done and kept: with another scale, or none, the rest is quick"
-        ) from None
+        raise InputError(f"{error}; all else is done and kept: another scale, or none, is quick") from None
 
 
 def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:

@@ -273,7 +273,7 @@ def _plain(value: Any) -> Any:
 
 
 def _made_before(out: Path) -> set[str]:
-    """What an earlier run wrote here, path from ``out``."""
+    """Give what an earlier run wrote here, path from ``out``."""
     try:
         made = json.loads((out / _RUN).read_text(encoding="utf-8"))["made"]
     except (OSError, ValueError, TypeError, KeyError):
