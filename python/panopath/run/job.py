@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -177,7 +177,10 @@ def _certified(source: Source, scene: Scene, options: RunOptions) -> Certificate
     """Certify the scene; rays of a rig start beside its centre, of which the certificate knows nothing."""
     if scene.tracks is None or _has_levers(source):
         return None
-    return certify(scene.tracks, scene, options.certify)
+    # what the features turned out to be worth says more than what they were taken to be worth
+    sigma = options.certify.sigma_rad or scene.summary.sigma_rad
+    known = sigma if np.isfinite(sigma) and sigma > 0.0 else None
+    return certify(scene.tracks, scene, replace(options.certify, sigma_rad=known))
 
 
 def _has_levers(source: Source) -> bool:

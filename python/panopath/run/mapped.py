@@ -10,17 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.checkpoints import key_of
+from panopath.formats.database import Database
 from panopath.formats.folder import scene_arrays, scene_of_arrays, summary_of
 from panopath.frontend import Measured
 from panopath.frontend.stored import Store
-from panopath.mapping import map_database
-from panopath.model import Scene, summary_dict
+from panopath.mapping import MapOptions, MappedDatabase, map_database
+from panopath.model import InputError, Scene, summary_dict
 from panopath.pipeline import ViewOrientations
 from panopath.run.options import RunOptions
 
 #: A camera keeps its direction where nearly all pairs of views are turned against one another by less, radians.
 _LOCKED_RAD, _LOCKED_SHARE = float(np.radians(0.7)), 0.95
 _NAME = "mapped"
+#: Pictures that see a point, for its depth to be checked.
+_CHECKED_BY = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,35 @@ def mapped(measured: Measured, options: RunOptions, store: Store) -> Mapped:
     if is_locked:
         n = database.n_frames
         oriented = ViewOrientations(np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, dtype=np.int32))
-    found = map_database(database, options.mapping, oriented=oriented)
+    found = _best(database, options.mapping, oriented)
     of = found.reconstruction
     observations = np.stack((of.image, of.feature, of.point), axis=1).astype(np.int64)
     summary_text = json.dumps(summary_dict(found.scene.summary))
     own.write(_NAME, scene_arrays(found.scene) | {"summary": summary_text, "observations": observations})
     return Mapped(found.scene, observations, is_locked)
+
+
+def _best(database: Database, options: MapOptions, oriented: ViewOrientations | None) -> MappedDatabase:
+    """Map by points that three pictures see, and by those of two only where the others do not place everything.
+
+    Nothing checks the depth of a point that two pictures see: nearly a third of them are wrong matches that lie along
+    the great circle by chance. They add little to the path, and to the points that are handed on they do harm.
+    """
+    found: MappedDatabase | None = None
+    for least in range(min(_CHECKED_BY, database.n_frames), options.min_track_length - 1, -1):
+        try:
+            tried = map_database(database, replace(options, min_track_length=least), oriented=oriented)
+        except InputError:
+            if least == options.min_track_length and found is None:
+                raise
+            continue
+        if found is None or tried.scene.summary.n_solved_views > found.scene.summary.n_solved_views:
+            found = tried
+        if found.scene.summary.n_solved_views == database.n_frames and found.scene.n_components == 1:
+            break
+    if found is None:
+        return map_database(database, options, oriented=oriented)
+    return found
 
 
 def _keeps_direction(measured: Measured) -> bool:
