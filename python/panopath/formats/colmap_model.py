@@ -152,12 +152,23 @@ def write_model(
 
 
 def cameras_bytes(cameras: Sequence[Camera]) -> bytes:
-    """``cameras.bin``; the models are numbers."""
+    """``cameras.bin``; models that are named are written as their numbers."""
     chunks = [struct.pack("<Q", len(cameras))]
     for camera in cameras:
         layout = f"<IiQQ{len(camera.params)}d"
-        chunks.append(struct.pack(layout, camera.camera_id, camera.model, camera.width, camera.height, *camera.params))
+        chunks.append(struct.pack(layout, camera.camera_id, _number_of(camera), camera.width, camera.height, *camera.params))
     return b"".join(chunks)
+
+
+def _number_of(camera: Camera) -> int:
+    if isinstance(camera.model, int):
+        return camera.model
+    if camera.model == "EQUIRECTANGULAR":
+        return EQUIRECTANGULAR_ID
+    known = load_pycolmap().CameraModelId.__members__
+    if camera.model not in known:
+        raise InputError(f"camera {camera.camera_id}: {camera.model!r} is no camera model of COLMAP")
+    return int(known[camera.model].value)
 
 
 def _poses(rotation: Float, centers: Float) -> Float:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from panopath.frontend.drift import drifting_features, drifting_matches, features_beside
 from panopath.frontend.features import Features
 from panopath.model import Bool, Float, InputError, Int, read_only
 from panopath.steps import (
@@ -46,6 +47,8 @@ _FEWEST = 12
 _FEWEST_NEAR, _SHARE_NEAR = 12, 0.3
 #: Standard deviations, and those assumed at least, in pixels, beyond which a match is no longer of something far away.
 _FAR_SIGMAS, _LEAST_SIGMA_PX = 4.0, 0.3
+#: What drifts is sought so many times, since motions found without it show more of it.
+_DRIFT_ROUNDS = 3
 #: The parallax allowed is so many times that of nearly all matches that are known, and between these, radians.
 _REACH, _LEAST_REACH_RAD, _MOST_REACH_RAD = 1.5, float(np.radians(3.0)), float(np.radians(75.0))
 
@@ -158,7 +161,7 @@ def match_images(
         raise InputError(f"bearings has {len(bearings)} entries, expected {len(features)}, one for each image")
     table = _Table.of(features, bearings)
     tried = candidate_pairs(features, chosen, in_sequence, positions_m) if pairs is None else _sorted(pairs)
-    found, matches = _leading(table, tried, chosen)
+    found, matches, drifts = _without_drift(table, tried, *_leading(table, tried, chosen), pixel_rad, chosen)
     known = _determined(found)
     if in_sequence:
         # the chain must not break where few of the leading features are seen again
@@ -172,6 +175,7 @@ def match_images(
         pixel_rad,
         chosen,
         len(tried),
+        drifts,
     )
 
 
@@ -296,17 +300,50 @@ def _leading(
     return relative_poses(matches.starts, first, second, TwoViewOptions(seed=options.seed)), matches
 
 
+def _without_drift(  # noqa: PLR0917
+    table: _Table, pairs: Int, found: TwoViews, matches: FeatureMatches, pixel_rad: float, options: MatchingOptions
+) -> tuple[TwoViews, FeatureMatches, Bool]:
+    """Find the motions again without features that drift as clouds do, in all pairs that they are matched in.
+
+    Also gives which of all features are among those that drift.
+    """
+    every = np.zeros(int(table.starts[-1]), dtype=np.bool_)
+    for _ in range(_DRIFT_ROUNDS):
+        row = np.repeat(np.arange(len(pairs)), np.diff(matches.starts))
+        sigma = np.maximum(np.nan_to_num(found.sigma_rad), _LEAST_SIGMA_PX * pixel_rad)
+        first, second = table.rays(pairs, matches)
+        is_near = _parallax(found, row, first, second) > _FAR_SIGMAS * sigma[row]
+        drifting = drifting_matches(first, second, found, is_near, sigma, options.seed)
+        if not drifting.any():
+            break
+        feature = matches.matches + table.starts[pairs[row]]
+        drifts = drifting_features(table.starts, table.bearings, feature, row, (drifting, is_near, found.inlier))
+        every |= drifts
+        keep = ~drifts[feature].any(axis=1)
+        counts = np.bincount(row[keep], minlength=len(pairs))
+        matches = FeatureMatches(np.concatenate(([0], np.cumsum(counts))).astype(np.int64), matches.matches[keep])
+        found = relative_poses(matches.starts, first[keep], second[keep], TwoViewOptions(seed=options.seed))
+    return found, matches, features_beside(table.starts, table.bearings, every)
+
+
+def _parallax(found: TwoViews, row: Index, first: Float, second: Float) -> Float:
+    """Angles between bearings of matches but for the rotation of their pair."""
+    turned = np.einsum("nij,nj->ni", found.second_from_first[row], first)
+    return np.asarray(2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(turned - second, axis=1), 0.0, 1.0)))
+
+
 def _determined(found: TwoViews) -> Bool:
     status = np.array([one != TwoViewStatus.UNDETERMINED for one in found.status], dtype=np.bool_)
     return np.asarray(status & (found.n_inliers >= _FEWEST))
 
 
-def _all_matches(
+def _all_matches(  # noqa: PLR0917
     table: _Table,
     rounds: Sequence[tuple[Int, TwoViews, FeatureMatches, Bool]],
     pixel_rad: float,
     options: MatchingOptions,
     n_tried: int,
+    drifts: Bool,
 ) -> ImageMatches:
     """Match all features of the pairs whose motion is known, where it allows."""
     pairs = np.concatenate([tried[known] for tried, _, _, known in rounds])
@@ -318,6 +355,11 @@ def _all_matches(
         for column in zip(*parts, strict=True)
     )
     found = table.match(pairs, MatchOptions(), MotionGuides(turn, direction, reach, band))
+    if drifts.any():
+        row = np.repeat(np.arange(len(pairs)), np.diff(found.starts))
+        rests = ~drifts[found.matches + table.starts[pairs[row]]].any(axis=1)
+        start = np.concatenate(([0], np.cumsum(np.bincount(row[rests], minlength=len(pairs)))))
+        found = FeatureMatches(start.astype(np.int64), found.matches[rests])
     counts = np.diff(found.starts)
     keep = counts >= options.min_matches
     return ImageMatches(
@@ -338,8 +380,7 @@ def _guides(  # noqa: PLR0917
     """
     first, second = table.rays(pairs, matches)
     row = np.repeat(np.arange(len(pairs)), np.diff(matches.starts))
-    turned = np.einsum("nij,nj->ni", found.second_from_first[row], first)
-    parallax = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(turned - second, axis=1), 0.0, 1.0))
+    parallax = _parallax(found, row, first, second)
     sigma = np.nan_to_num(found.sigma_rad)
     is_near = parallax > _FAR_SIGMAS * np.maximum(sigma, _LEAST_SIGMA_PX * pixel_rad)[row]
     n_near = np.bincount(row[is_near & found.inlier], minlength=len(pairs))
