@@ -414,7 +414,13 @@ class VideoFrame:
 
 
 def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool = False) -> Iterator[VideoFrame]:
-    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high."""
+    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high.
+
+    Raises
+    ------
+    InputError
+        Where there are not so many.
+    """
     wanted = iter(indices)
     following = next(wanted, None)
     for k, frame in enumerate(_frames(path)):
@@ -427,3 +433,5 @@ def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool =
         gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
+    if following is not None:
+        raise InputError(f"{path}: frame {following} cannot be read any more; was the file changed?")

@@ -8,6 +8,8 @@ Each stage leaves a checkpoint in ``OUT/.work``; a run that was stopped goes on 
 from __future__ import annotations
 
 import errno
+import re
+import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -116,6 +118,8 @@ def reconstruct(
         check_masks(recognised, chosen.masks)
         if recognised.kind in {SourceKind.PANORAMAS, SourceKind.PERSPECTIVE}:
             _check_baseline(recognised.names, chosen)
+        if Checkpoints.is_at(folder / _WORK):
+            _sweep(folder)
         store = Checkpoints(folder / _WORK)
         if force:
             store.clear()
@@ -176,6 +180,15 @@ def _one_line(folder: Path) -> Iterator[None]:
     except OSError as error:
         place = error.filename or folder
         raise InputError(f"{place}: cannot be read or written ({error.strerror or error})") from None
+
+
+def _sweep(folder: Path) -> None:
+    """Take away what a run was writing just when it was killed."""
+    for path in folder.rglob(".*.part"):
+        path.unlink(missing_ok=True)
+    for path in folder.iterdir():
+        if re.fullmatch(rf"\.{re.escape(folder.name)}\.\w{{8}}", path.name) and path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _check_baseline(names: Sequence[str], options: RunOptions) -> None:
