@@ -124,6 +124,14 @@ def damaged_calibration(place: Path) -> Path:
     return place
 
 
+def calibration_without_focal(place: Path) -> Path:
+    picture(place / "left/1.png")
+    picture(place / "left/2.png")
+    camera = {"image_prefix": "left/", "camera_model_name": "PINHOLE", "camera_params": [0, 0, 64, 32]}
+    (place / "rig.json").write_text(json.dumps([{"cameras": [camera | {"ref_sensor": True}]}]))
+    return place
+
+
 def rig_without_pictures(place: Path) -> Path:
     picture(place / "left/1.png")
     camera = {"image_prefix": "right/", "camera_model_name": "OPENCV_FISHEYE", "camera_params": [1] * 8}
@@ -145,6 +153,7 @@ def rig_without_pictures(place: Path) -> Path:
         (empty_file, "cannot be read as a video"),
         (no_file, "there is no such file or folder"),
         (damaged_calibration, "rig_config.json: cannot be read as a calibration (JSON)"),
+        (calibration_without_focal, "rig.json: camera 0: with the parameters [0.0, 0.0, 64.0, 32.0] the camera sees"),
         (rig_without_pictures, "has no pictures below right/, which rig.json names"),
     ],
 )
@@ -321,16 +330,28 @@ def street() -> Frame:
     return render_walk(width_px=1024, n_frames=1, seed=2).frame(0)
 
 
+def seen(frame: Frame, rays: npt.NDArray[np.float64]) -> Frame:
+    """What a panorama shows along (h, w, 3) rays."""
+    height, width = rays.shape[:2]
+    unit = (rays / np.linalg.norm(rays, axis=2, keepdims=True)).reshape(-1, 3)
+    pixels = equirectangular_from_bearings(unit, frame.shape[1], frame.shape[0]).astype(np.float32)
+    x, y = np.moveaxis(pixels.reshape(height, width, 2), 2, 0)
+    padded = np.concatenate((frame[:, -8:], frame, frame[:, :8]), axis=1)
+    found = cv2.remap(padded, x + 7.5, y - 0.5, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    return np.asarray(found, dtype=np.uint8)
+
+
+def pinhole(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(h, w, 3) rays through a plane at distance one."""
+    return np.stack((x, y, np.ones_like(x)), axis=-1)
+
+
 def turned(frame: Frame, rotation: Any, width: int = 512) -> Frame:
     """The same place seen by a camera turned."""
     height = width // 2
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     ray = bearings_from_equirectangular(np.stack((x.ravel(), y.ravel()), axis=1), width, height)
-    at = equirectangular_from_bearings(ray @ cv2.Rodrigues(np.array(rotation))[0], frame.shape[1], frame.shape[0])
-    pixels = at.astype(np.float32).reshape(height, width, 2)
-    padded = np.concatenate((frame[:, -8:], frame, frame[:, :8]), axis=1)
-    mapped = cv2.remap(padded, pixels[..., 0] + 7.5, pixels[..., 1] - 0.5, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    return np.asarray(mapped, dtype=np.uint8)
+    return seen(frame, (ray @ cv2.Rodrigues(np.array(rotation))[0]).reshape(height, width, 3))
 
 
 def turns(k: int) -> tuple[float, float, float]:
@@ -389,6 +410,47 @@ def test_pictures_of_different_places(capsys: Any, tmp_path: Path, street: Frame
     for k, frame in enumerate((small, small[:, ::-1], noisy(np.full_like(small, 120), 1, 60.0))):
         (place / f"{k}.png").write_bytes(encoded(np.ascontiguousarray(frame), ".png"))
     assert said(capsys, place, tmp_path / "out").code == 3
+
+
+def test_raw_fisheyes_are_told(capsys: Any, film: Film, tmp_path: Path) -> None:
+    """Unstitched film of a 360 camera has the shape of a panorama: two circles side by side."""
+    at = (np.arange(256) + 0.5) / 128.0 - 1.0
+    x, y = np.meshgrid(at, at)
+    radius = np.maximum(np.hypot(x, y), 1e-9)
+    theta = radius * np.radians(97.0)
+    front = np.stack((np.sin(theta) * x / radius, np.sin(theta) * y / radius, np.cos(theta)), axis=-1)
+    rays = np.concatenate((front, front * (-1.0, 1.0, -1.0)), axis=1)
+    inside = np.concatenate((radius < 1.0, radius < 1.0), axis=1)
+    frames = (seen(film.walk.frame(k), rays) * inside[..., None] for k in range(0, 40, 2))
+    path = write_film(tmp_path / "raw.mp4", frames)
+    told = said(capsys, path, tmp_path / "out")
+    assert told.code == 3
+    assert "two fisheyes side by side: have the camera's program stitch them first" in told.out + told.err
+
+
+def test_film_of_a_common_camera_is_told(capsys: Any, film: Film, tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.arange(512) - 255.5, np.arange(256) - 127.5)
+    frames = (seen(film.walk.frame(k), pinhole(x / 180.0, y / 180.0)) for k in range(0, 40, 2))
+    path = write_film(tmp_path / "wide.mp4", frames)
+    told = said(capsys, path, tmp_path / "out")
+    assert told.code == 3
+    assert "do not meet at their left and right edges as those of a 360 camera do" in told.out + told.err
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (2.0, 3)])
+def test_wrong_intrinsics_are_no_success(capsys: Any, film: Film, tmp_path: Path, factor: float, code: int) -> None:
+    place = tmp_path / "pictures"
+    place.mkdir()
+    x, y = np.meshgrid(np.arange(320) - 159.5, np.arange(320) - 159.5)
+    turn = cv2.Rodrigues(np.array((0.0, -np.pi / 4.0, 0.0)))[0]
+    for k in range(0, 40, 2):
+        frame = seen(film.walk.frame(k), pinhole(x / 160.0, y / 160.0) @ turn.T)
+        (place / f"{k:02d}.png").write_bytes(encoded(frame, ".png"))
+    focal = 160.0 * factor
+    (place / "cameras.txt").write_text(f"1 PINHOLE 320 320 {focal} {focal} 160 160\n")
+    told = said(capsys, place, tmp_path / "out", "--json")
+    answer = json.loads(told.out)
+    assert (told.code, answer["is_determined"]) == (code, code == 0), answer["certificate"]
 
 
 def test_as_json_the_line_is_in_the_object(capsys: Any, tmp_path: Path, street: Frame) -> None:

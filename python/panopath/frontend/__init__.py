@@ -16,6 +16,7 @@ from panopath.frontend.video import (
     read_frames,
     video_motion,
 )
+from panopath.frontend.whole import why_not_whole
 
 __all__ = [
     "FeatureOptions",
@@ -48,5 +49,6 @@ __all__ = [
     "read_image",
     "recognise",
     "video_motion",
+    "why_not_whole",
     "without_fixed",
 ]

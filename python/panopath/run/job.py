@@ -22,7 +22,7 @@ import numpy as np
 from panopath.certificate import Certificate
 from panopath.checkpoints import Checkpoints
 from panopath.formats.folder import is_scene_folder
-from panopath.frontend import Measured, Source, SourceKind, check_masks, measure, recognise
+from panopath.frontend import Measured, Source, SourceKind, check_masks, measure, recognise, why_not_whole
 from panopath.frontend.images import positions_of
 from panopath.frontend.stored import Store
 from panopath.model import Float, InputError, Scene, UndeterminedError
@@ -124,23 +124,25 @@ def reconstruct(
         if force:
             store.clear()
         keeper = ImageKeeper(recognised, folder, chosen)
-        measured = measure(
-            recognised, chosen.front_end, masks=chosen.masks, store=store, report=say, each=keeper.keep, color=True
-        )
+        with _explained(recognised):
+            measured = measure(
+                recognised, chosen.front_end, masks=chosen.masks, store=store, report=say, each=keeper.keep, color=True
+            )
         seconds |= measured.seconds
         if recognised.kind is SourceKind.VIDEO:
             _check_baseline(measured.database.image_names, chosen)
         with _timed(seconds, "mapping"):
             say("mapping", 0, 0)
             found = mapped(measured, chosen, Store(store, measured.key))
-        _check_found(recognised, found.scene)
+        with _explained(recognised):
+            _check_found(recognised, found.scene)
         with _timed(seconds, "certificate"):
             say("certificate", 0, 0)
             certificate = _certified(recognised, found.scene, chosen)
         with _timed(seconds, "writing"):
             say("writing", 0, 0)
             placed = _placed(measured, found, chosen)
-            statements = (*_statements(measured, found), *placed.statements)
+            statements = (*_statements(measured, found), *placed.statements, *_doubts(recognised, found, certificate))
             answer = Answer(
                 recognised, measured, found.observations, placed, certificate, statements, dict(seconds), chosen
             )
@@ -180,6 +182,25 @@ def _one_line(folder: Path) -> Iterator[None]:
     except OSError as error:
         place = error.filename or folder
         raise InputError(f"{place}: cannot be read or written ({error.strerror or error})") from None
+
+
+@contextmanager
+def _explained(source: Source) -> Iterator[None]:
+    """Where nothing is found, say it if the pictures do not look like what they were taken for."""
+    try:
+        yield
+    except UndeterminedError as error:
+        why = why_not_whole(source)
+        if why:
+            raise UndeterminedError(f"{error}; {why}") from None
+        raise
+
+
+def _doubts(source: Source, found: Mapped, certificate: Certificate | None) -> tuple[str, ...]:
+    """Say the same of a scene that cannot be believed."""
+    sound = found.scene.summary.status.is_determined and (certificate is None or certificate.is_determined)
+    why = "" if sound else why_not_whole(source)
+    return (why,) if why else ()
 
 
 def _sweep(folder: Path) -> None:
