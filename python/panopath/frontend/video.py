@@ -155,7 +155,8 @@ class _open:  # noqa: N801 a function to its callers
         try:
             self._container = av.open(str(self._path))
         except (av.error.FFmpegError, OSError) as error:
-            raise InputError(f"{self._path}: cannot be read as a video ({error.strerror or error})") from None
+            why = "it was cut short and has no index" if _has_no_index(self._path) else error.strerror or str(error)
+            raise InputError(f"{self._path}: cannot be read as a video ({why})") from None
         if not self._container.streams.video or not self._container.streams.video[0].codec_context.width:
             self._container.close()
             raise InputError(f"{self._path}: has no video stream")
@@ -165,6 +166,27 @@ class _open:  # noqa: N801 a function to its callers
 
     def __exit__(self, *_: object) -> None:
         self._container.close()
+
+
+def _has_no_index(path: Path) -> bool:
+    """Whether a file is an MP4 without the box that says where its frames are, which cameras write last."""
+    kinds: list[bytes] = []
+    place = 0
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            while place + 8 <= size and len(kinds) < 64:
+                file.seek(place)
+                head = file.read(16)
+                length = int.from_bytes(head[:4], "big")
+                length = int.from_bytes(head[8:], "big") if length == 1 else length
+                kinds.append(head[4:8])
+                if length < 8:
+                    break
+                place += length
+    except OSError:
+        return False
+    return kinds[:1] == [b"ftyp"] and b"moov" not in kinds
 
 
 def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[Any]:
@@ -324,10 +346,13 @@ class _Follower:
         )
 
     def _kind(self, rotations: Float, travelled: Float) -> VideoKind:
+        is_dark = float(np.median(self._brightness)) < _DARK
         if float(np.median(self._n_points)) < _FEWEST:
-            return VideoKind.DARK if float(np.median(self._brightness)) < _DARK else VideoKind.TEXTURELESS
+            return VideoKind.DARK if is_dark else VideoKind.TEXTURELESS
         if travelled[-1] >= _STILL_RAD:
             return VideoKind.MOVING
+        if is_dark:
+            return VideoKind.DARK  # what little is seen stays, as noise of the sensor does
         cosine = 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0)
         turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
         return VideoKind.PURE_ROTATION if turned > _NO_TURN_RAD else VideoKind.STILL
@@ -389,7 +414,13 @@ class VideoFrame:
 
 
 def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool = False) -> Iterator[VideoFrame]:
-    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high."""
+    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high.
+
+    Raises
+    ------
+    InputError
+        Where there are not so many.
+    """
     wanted = iter(indices)
     following = next(wanted, None)
     for k, frame in enumerate(_frames(path)):
@@ -402,3 +433,5 @@ def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool =
         gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
+    if following is not None:
+        raise InputError(f"{path}: frame {following} cannot be read any more; was the file changed?")
