@@ -72,6 +72,8 @@ class MatchingOptions:
     #: Angle of a match to the great circle of its motion that is always allowed, pixels; more where the pair shows more
     #: noise. Wide bands let in look-alikes beside the path, of which a tiled pavement has many that agree.
     band_px: float = 1.0
+    #: Whether to leave out what drifts behind the scene as clouds do.
+    leave_out_drift: bool = True
     #: Of everything random.
     seed: int = 0
 
@@ -166,7 +168,7 @@ def match_images(
     tried = candidate_pairs(features, chosen, in_sequence, positions_m) if pairs is None else _sorted(pairs)
     found, matches = _leading(table, tried, chosen)
     drifts: Bool = np.zeros(int(table.starts[-1]), dtype=np.bool_)
-    if all_around:
+    if all_around and chosen.leave_out_drift:
         found, matches, drifts = _without_drift(table, tried, found, matches, pixel_rad, chosen)
     known = _determined(found)
     if in_sequence:
