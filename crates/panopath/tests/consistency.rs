@@ -5,7 +5,7 @@ mod common;
 
 use common::*;
 use panopath::consistency::{Consistency, ConsistencyError, ConsistencyOptions, Finding, check_consistency};
-use panopath::geometry::{Rotation, add, scale, sub};
+use panopath::geometry::{Rotation, add, norm, scale, sub};
 use panopath::structure::{Status, Structure, Summary, Timings};
 use panopath::synthetic::{Orientations, World, WorldKind, WorldOptions};
 use panopath::tracks::Tracks;
@@ -194,6 +194,36 @@ fn a_tear_that_nothing_outweighs_is_found() {
         _ => false,
     };
     assert!(found.findings.iter().any(across), "{:?}", sentences(&found));
+}
+
+#[test]
+fn a_tear_that_the_sky_bridges_is_found() {
+    // the second half of a street is stretched: near points fit one half only, far ones fit both
+    let world = simulate::<3>(WorldKind::Street, &WorldOptions { infinity_fraction: 0.6, ..turned(60, 2000, 5) });
+    let right = solved(&world);
+    passes(&check::<3, 6>(&world.tracks, &right));
+    let hinge = right.centers[30];
+    let stretched = |x: &[f64; 3]| add(&hinge, &scale(2.0, &sub(x, &hinge)));
+    let mut torn = right.clone();
+    (30..60).for_each(|i| torn.centers[i] = stretched(&right.centers[i]));
+    let mut n_seen = vec![[0, 0]; torn.points.len()];
+    for (o, (&i, &j)) in world.tracks.view().iter().zip(world.tracks.track()).enumerate() {
+        n_seen[j as usize][usize::from(i >= 30)] += usize::from(right.inlier[o]);
+    }
+    let extent = right.centers.iter().map(|c| norm(&sub(c, &hinge))).fold(0.0, f64::max);
+    let is_far: Vec<bool> = right.points.iter().map(|x| norm(&sub(x, &hinge)) > 50.0 * extent).collect();
+    assert!(is_far.iter().filter(|&&far| far).count() > 500);
+    for j in (0..torn.points.len()).filter(|&j| !is_far[j]) {
+        if n_seen[j][1] > n_seen[j][0] {
+            torn.points[j] = stretched(&right.points[j]);
+        }
+    }
+    for (o, (&i, &j)) in world.tracks.view().iter().zip(world.tracks.track()).enumerate() {
+        let seen = n_seen[j as usize];
+        torn.inlier[o] &= is_far[j as usize] || (i >= 30) == (seen[1] > seen[0]);
+    }
+    let found = check::<3, 6>(&world.tracks, &torn);
+    assert!(figure(&found, "torn_places") >= 1.0, "{:?}", sentences(&found));
 }
 
 #[test]
