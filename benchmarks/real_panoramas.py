@@ -250,9 +250,7 @@ def forest(folder: Path, images: Path) -> str:
     mine = ours("panopath, video", done)
     path = done.scene.centers
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-    bend = np.degrees(
-        np.arccos(np.clip(np.einsum("ni,ni->n", *_unit_steps(path)), -1.0, 1.0))
-    )
+    bend = np.degrees(np.arccos(np.clip(np.einsum("ni,ni->n", *_unit_steps(path)), -1.0, 1.0)))
     return "\n\n".join(
         [
             "## Forest, one second of video",
@@ -266,7 +264,7 @@ def forest(folder: Path, images: Path) -> str:
             said(done),
             prose(
                 f"""
-                The path is smooth, as a bicycle's must be: its steps turn by {np.median(bend):.1f} deg in the median,
+                The path is smooth: its steps turn by {np.median(bend):.1f} deg in the median,
                 by {bend.max():.1f} deg at most, and the path is {np.linalg.norm(path[-1] - path[0]) / length:.2%} as
                 long straight as along its keyframes.
                 """
@@ -330,9 +328,10 @@ def gopromax(folder: Path, images: Path) -> str:
                 f"""
                 The positions are used, and the answers {"(`path.geojson`, `path.gpx`)" if gpx else "(`path.geojson`)"}
                 lie on them to {rms(apart):.2f} m (rms): direction and spacing agree with GPS, to what a receiver of a
-                camera can tell. Here clouds are most of what is seen again: with them left in, steps come out wrong by
-                factors, for the peer as for us. The verdict is weak for the sake of points, most of which are far or
-                ahead; five views see few from the side.
+                camera can tell. Here clouds are most of what is seen again; with them left in, our path was bent out of
+                shape (the gate says so), and the peer, which uses them too, makes the first step twice as long. The
+                verdict is weak for the sake of points, most of which are far or ahead; five views see few from the
+                side.
                 """
             ),
             picture,
@@ -369,11 +368,12 @@ def pair(folder: Path, images: Path) -> str:
                 f"""
                 Two panoramas determine a scene but for its size, and that is what is said. Nothing checks a point that
                 two pictures alone see, beyond the great circle that its match must lie on: "determined" is about the
-                shape and its noise, not about every match. The headers have positions {apart:.0f} m apart, taken 20 s
+                shape and its noise, not about every match, and the gate, which compares neighbours, has nothing to
+                measure. The headers have positions {apart:.0f} m apart, taken 20 s
                 apart, one at a height of {known[0, 2]:.0f} m and the other at {known[1, 2]:.0f} m. They are not used:
                 any two positions fit, so that nothing would tell whether they are right. They are not: the lowest
-                layer of points lies {share:.1f} times the step below the camera, so that with them the tripod would
-                be {share * apart:.0f} m high.
+                layer of points, the pavement, lies {share:.1f} times the step below the camera, which would then stand
+                {share * apart:.0f} m high.
                 """
             ),
             picture,

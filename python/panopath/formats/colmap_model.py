@@ -156,7 +156,9 @@ def cameras_bytes(cameras: Sequence[Camera]) -> bytes:
     chunks = [struct.pack("<Q", len(cameras))]
     for camera in cameras:
         layout = f"<IiQQ{len(camera.params)}d"
-        chunks.append(struct.pack(layout, camera.camera_id, _number_of(camera), camera.width, camera.height, *camera.params))
+        chunks.append(
+            struct.pack(layout, camera.camera_id, _number_of(camera), camera.width, camera.height, *camera.params)
+        )
     return b"".join(chunks)
 
 

@@ -101,7 +101,9 @@ def place_on_earth(  # noqa: PLR0917
         earth = georeference(scene, position_wgs84)
         n_agree = int(earth.fits[0].inlier.sum()) if earth.fits else 0
         if earth.is_fitted and n_agree < _FEWEST_PLACES:
-            said.append(f"GPS was not used: any {n_agree} positions fit a path, so that nothing tells whether they are right")
+            said.append(
+                f"GPS was not used: any {n_agree} positions fit a path, so that nothing tells whether they are right"
+            )
             earth = None
         else:
             said += [fit.sentence() for fit in earth.fits[:1]]
