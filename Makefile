@@ -80,6 +80,7 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python -m docs.figures_certificate
 	$(BIN)/python -m docs.figures_counting
 	$(BIN)/python -m docs.figures_view
+	$(BIN)/python -m docs.figures_reconstruct
 
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist
 	$(BIN)/maturin build --release --out dist

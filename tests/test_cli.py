@@ -53,11 +53,11 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_version_and_help(run: Run) -> None:
     assert run("--version").out.strip() == f"panopath {pp.__version__}"
-    for command in ((), ("solve",), ("simulate",), ("evaluate",), ("demo",)):
+    for command in ((), ("reconstruct",), ("solve",), ("simulate",), ("evaluate",), ("demo",)):
         ran = run(*command, "--help")
         assert ran.code == 0
         text = " ".join(ran.out.split())
-        assert "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene." in text
+        assert "Exit codes: 0 success; 2 unusable input or command; 3 the input does not determine the scene; " in text
 
 
 def test_simulate_solve_evaluate(run: Run, tmp_path: Path) -> None:

@@ -65,7 +65,12 @@ def command_options() -> dict[str, set[str]]:
     group = typer.main.get_command(app)
     commands = getattr(group, "commands")  # noqa: B009 (typer's own class, of no public type)
     return {
-        name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
+        name: {
+            option
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+            if option.startswith("-")
+        }
         for name, command in commands.items()
     }
 
