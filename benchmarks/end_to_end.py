@@ -65,7 +65,7 @@ class Case:
     at_most: dict[str, float] = field(default_factory=dict)
 
     def quick(self) -> Case:
-        """A quarter of the pixels and a third of the frames."""
+        """Make it smaller: a quarter of the pixels and a third of the frames."""
         small = {"width_px": self.film["width_px"] // 2, "n_frames": self.film["n_frames"] // 3}
         faster = {"speed_m_s": 3.0 * _SPEED_M_S} if self.film.get("path") == "loop" else {}
         return Case(
@@ -154,7 +154,7 @@ def score(answer: Answer, walk: Walk) -> Answer:
     frame = [int(name.removeprefix("frame_").split(".")[0]) for name in answer["names"]]
     at = truth[frame]
     centers = np.array(answer["centers"], dtype=np.float64).reshape(-1, 3)
-    posed = np.isfinite(centers).all(axis=1)
+    posed = np.asarray(np.isfinite(centers).all(axis=1))
     kept = {key: value for key, value in answer.items() if key not in {"names", "centers"}}
     kept |= {"n_posed": int(posed.sum()), "n_views": len(posed)}
     if posed.sum() < 3:
@@ -181,7 +181,7 @@ def path_length(centers: Float) -> float:
 
 
 def middle(runs: Sequence[Answer]) -> Answer:
-    """The run of the median time, or the first that failed."""
+    """Choose the run of the median time, or the first that failed."""
     failed = next((one for one in runs if "error" in one), None)
     if failed is not None:
         return failed
@@ -283,7 +283,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Measure what was asked for, merge it into the results, write the page."""
     chosen = parse(sys.argv[1:] if arguments is None else arguments)
     store = chosen.output.with_suffix(".json")
-    results, peers = load(store), {}
+    results = load(store)
+    peers: dict[str, Answer] = {}
     if not chosen.render:
         for name in chosen.only or CASES:
             case = CASES[name].quick() if chosen.quick else CASES[name]

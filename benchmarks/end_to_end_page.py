@@ -92,7 +92,8 @@ def _runs(results: dict[str, Result], titles: dict[str, str]) -> str:
         for tool in ("ours", "peer"):
             run = result[tool]
             if run is not None:
-                rows.append((titles[name], "panopath" if tool == "ours" else "pycolmap", *_run(run, result["film"].get("path") == "loop")))
+                who = "panopath" if tool == "ours" else "pycolmap"
+                rows.append((titles[name], who, *_run(run, result["film"].get("path") == "loop")))
     header = ("case", "tool", "time", "cpu", "memory", "posed", "points", "rmse", "of path", "worst", "loop pairs")
     return table(header, rows)
 
