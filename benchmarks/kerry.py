@@ -135,12 +135,12 @@ def read_largest(folder: Path, mapper: str, seconds: float) -> Mapped:
         centers,
         int(model.num_points3D()),
         int(model.compute_num_observations()),
-        _angles(model),
+        ray_errors(model),
         np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3),
     )
 
 
-def _angles(model: Any) -> Float:
+def ray_errors(model: Any) -> Float:
     """Angles between the rays of all observations and their points: pixels would not do behind a fisheye's edge."""
     angles = [np.empty(0)]
     for image in model.images.values():

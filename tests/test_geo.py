@@ -25,6 +25,7 @@ from panopath.formats.structure import known_scene
 from panopath.georeference import GeoStatus, georeference, scale_from_baseline
 from panopath.model import Float
 from panopath.moves import moved_scene
+from panopath.run.place import place_on_earth
 
 START = datetime(2024, 5, 6, 7, 8, 9, tzinfo=UTC)
 
@@ -306,3 +307,16 @@ def test_the_date_line_does_no_harm() -> None:
     assert found.is_fitted
     assert abs(abs(found.frame.longitude_deg) - 180.0) < 0.01
     assert found.fits[0].distance_m.max() < 1e-3
+
+
+def test_two_places_give_no_scale() -> None:
+    """Two positions fit any path by scale and heading, so that a run does not rest on them."""
+    scene, enu = walk()
+    given = np.full_like(enu, np.nan)
+    given[[0, 30]] = FRAME.wgs84_from_enu(enu[[0, 30]])
+    placed = place_on_earth(scene, position_wgs84=given)
+    assert placed.unit == ""
+    assert placed.georeference is None
+    assert any("any 2 positions fit" in said for said in placed.statements)
+    given[[10, 50]] = FRAME.wgs84_from_enu(enu[[10, 50]])
+    assert place_on_earth(scene, position_wgs84=given).unit == "m"

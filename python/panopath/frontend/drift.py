@@ -1,8 +1,8 @@
 """Clouds drift: in pictures some seconds apart they move by degrees, as one body, and are easily found again.
 
 In pairs taken farther apart most matches may then be of the sky, and the motion that most agree with is that against
-the clouds. It is told from the camera's by what does *not* agree with it: the ground shows a parallax of its own, larger,
-since nothing is as far away as the sky, and all around, unlike that of a car or a person.
+the clouds. It is told from the camera's by what does *not* agree with it: the ground shows a parallax of its own,
+larger, since nothing is as far away as the sky, and all around, unlike that of a car or a person.
 
     matches with parallax that miss the motion found -> the direction that most of them agree with, the rotation held
     -> they are many, nearer, and spread over the sphere: the motion found was the drift of what agreed with it alone
@@ -37,7 +37,9 @@ _BESIDE_RAD = float(np.radians(5.0))
 _AGREES = 3.0
 
 
-def drifting_matches(first: Float, second: Float, found: TwoViews, is_near: Bool, sigma: Float, seed: int = 0) -> Bool:
+def drifting_matches(  # noqa: PLR0917
+    first: Float, second: Float, found: TwoViews, is_near: Bool, sigma: Float, seed: int = 0
+) -> Bool:
     """Tell which matches are of something that drifts as a whole behind a nearer scene.
 
     Parameters

@@ -72,6 +72,8 @@ class MatchingOptions:
     #: Angle of a match to the great circle of its motion that is always allowed, pixels; more where the pair shows more
     #: noise. Wide bands let in look-alikes beside the path, of which a tiled pavement has many that agree.
     band_px: float = 1.0
+    #: Whether to leave out what drifts behind the scene as clouds do.
+    leave_out_drift: bool = True
     #: Of everything random.
     seed: int = 0
 
@@ -126,6 +128,7 @@ def match_images(
     in_sequence: bool = True,
     positions_m: npt.ArrayLike | None = None,
     pairs: npt.ArrayLike | None = None,
+    all_around: bool = True,
 ) -> ImageMatches:
     """Match all images that show the same things.
 
@@ -145,6 +148,8 @@ def match_images(
         (M, 3) places where they were taken, as far as is known, else NaN.
     pairs
         (P, 2) candidates; default: see the module's text.
+    all_around
+        Whether the images show the whole sphere: clouds that drift are told by what is on their other side.
 
     Returns
     -------
@@ -161,7 +166,10 @@ def match_images(
         raise InputError(f"bearings has {len(bearings)} entries, expected {len(features)}, one for each image")
     table = _Table.of(features, bearings)
     tried = candidate_pairs(features, chosen, in_sequence, positions_m) if pairs is None else _sorted(pairs)
-    found, matches, drifts = _without_drift(table, tried, *_leading(table, tried, chosen), pixel_rad, chosen)
+    found, matches = _leading(table, tried, chosen)
+    drifts: Bool = np.zeros(int(table.starts[-1]), dtype=np.bool_)
+    if all_around and chosen.leave_out_drift:
+        found, matches, drifts = _without_drift(table, tried, found, matches, pixel_rad, chosen)
     known = _determined(found)
     if in_sequence:
         # the chain must not break where few of the leading features are seen again

@@ -29,6 +29,7 @@ from panopath.frontend.features import FeatureOptions, Features, extract_feature
 from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
 from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
+from panopath.frontend.moments import SMALL_RIG_M, match_moments
 from panopath.frontend.sources import Source, SourceKind
 from panopath.frontend.stored import Looked, Store, key_of_masks, key_of_source
 from panopath.frontend.video import (
@@ -395,6 +396,9 @@ def _match(
     source: Source, features: list[Features], rays: list[Float], pixel_rad: float, options: FrontEndOptions
 ) -> ImageMatches:
     pairs = None
+    if source.kind is SourceKind.RIG and np.linalg.norm(source.center_in_rig, axis=1).max() <= SMALL_RIG_M:
+        rig = (source.image_frame, source.image_camera, source.sensor_from_rig)
+        return match_moments(features, rays, rig, pixel_rad, options.matching, in_sequence=options.in_sequence)
     if source.kind is SourceKind.RIG:
         pairs = _pairs_of_frames(source.image_frame, options)
     positions = None
@@ -402,7 +406,7 @@ def _match(
         positions = _metres(positions_of(list(source.headers)))
     return match_images(
         features, rays, pixel_rad, options.matching, in_sequence=options.in_sequence and pairs is None,
-        positions_m=positions, pairs=pairs,
+        positions_m=positions, pairs=pairs, all_around=source.is_panoramic,
     )  # fmt: skip
 
 

@@ -11,10 +11,11 @@ The video is decoded twice, first small and whole, then the keyframes at the wor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,7 @@ from panopath.model import Bool, Float, InputError, Tracks, read_only
 from panopath.steps import fit_rotations
 
 Index = npt.NDArray[np.int64]
+_Item = TypeVar("_Item")
 
 #: Points followed, and fewest that say how the camera moved.
 _POINTS, _FEWEST = 400, 25
@@ -41,6 +43,10 @@ _DARK = 16.0
 _PAD = 48
 #: Elevation up to which points are followed: nearer the poles the image is stretched too much.
 _MOST_ELEVATION_RAD = float(np.radians(60.0))
+#: Formats of frames whose first plane is the brightness, a byte a pixel; FFmpeg's number of the full range of it.
+_BRIGHTNESS_FIRST = {"yuv420p", "yuv422p", "yuv444p", "yuvj420p", "yuvj422p", "yuvj444p", "nv12", "gray"}
+_FULL_RANGE = 2
+_FULL_FROM_LIMITED = np.clip(np.rint((np.arange(256) - 16.0) * (255.0 / 219.0)), 0.0, 255.0).astype(np.uint8)
 
 
 class VideoKind(StrEnum):
@@ -213,6 +219,33 @@ def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[A
                     yield frame
 
 
+def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
+    """Yield the items, while a thread makes the next one: decoding and what follows share two processors."""
+    end = object()
+    with ThreadPoolExecutor(1) as pool:
+        following: Future[Any] = pool.submit(next, items, end)
+        while (item := following.result()) is not end:
+            following = pool.submit(next, items, end)
+            yield item
+
+
+def _gray(frame: Any, width: int) -> Gray:
+    """Brightness of a frame, ``width // 2`` high: where the codec keeps it apart, colours need not be looked at."""
+    height = width // 2
+    if frame.format.name not in _BRIGHTNESS_FIRST:
+        shrunk = frame.reformat(width=width, height=height, format="gray", interpolation="AREA").to_ndarray()
+        return np.ascontiguousarray(shrunk[:height, :width])
+    plane, cv2 = frame.planes[0], opencv()
+    picture = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+    shrunk = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(shrunk if _is_full_range(frame) else cv2.LUT(shrunk, _FULL_FROM_LIMITED), dtype=np.uint8)
+
+
+def _is_full_range(frame: Any) -> bool:
+    """Whether brightness goes from 0 to 255, else from 16 to 235, as it does where nothing is said."""
+    return frame.format.name.startswith(("yuvj", "gray")) or int(frame.color_range) == _FULL_RANGE
+
+
 def video_motion(
     path: Path, options: VideoOptions | None = None, report: Callable[[int], None] | None = None
 ) -> VideoMotion:
@@ -239,11 +272,15 @@ def video_motion(
         counter["corrupt"] += 1
 
     width = chosen.motion_width
+
+    def small() -> Iterator[tuple[float | None, Gray]]:
+        for frame in _frames(path, damaged):
+            yield frame.time, _gray(frame, width)
+
     follower, times = _Follower(width), []
-    for k, frame in enumerate(_frames(path, damaged)):
-        small = frame.reformat(width=width, height=width // 2, format="gray", interpolation="AREA").to_ndarray()
-        times.append(float(frame.time) if frame.time is not None else float(k))
-        follower.see(np.ascontiguousarray(small[: width // 2, :width]))
+    for k, (time, picture) in enumerate(_ahead(small())):
+        times.append(float(k) if time is None else float(time))
+        follower.see(picture)
         if report is not None:
             report(k + 1)
     if not times:
@@ -429,8 +466,7 @@ def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool =
         if k != int(following):
             continue
         following = next(wanted, None)
-        size = {"width": width, "height": width // 2, "interpolation": "AREA"}
-        gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
+        gray = _gray(frame, width)
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
     if following is not None:

@@ -22,6 +22,8 @@ from panopath.upright import Up, UpSource, find_up, make_upright
 _TAGS_AGREE_RAD = float(np.radians(5.0))
 #: Rays of the ground go down at least so steeply, and it is seen by so many of them.
 _STEEP_RAD, _FEWEST_GROUND = float(np.radians(30.0)), 30
+#: Places that agree, for the scale to rest on them: two fit any path, by scale and heading.
+_FEWEST_PLACES = 3
 #: Heights in one bin of the search for the ground differ by this factor.
 _HEIGHT_BIN = 1.06
 #: A lower layer is the ground where it is this share as full as the fullest.
@@ -97,8 +99,15 @@ def place_on_earth(  # noqa: PLR0917
         said.append(f"scale is from the distance of {baseline[0]} and {baseline[1]}, {baseline[2]:g} m")
     elif position_wgs84 is not None and np.isfinite(np.asarray(position_wgs84)[:, :2]).all(axis=1).any():
         earth = georeference(scene, position_wgs84)
-        said += [fit.sentence() for fit in earth.fits[:1]]
-        if earth.is_fitted:
+        n_agree = int(earth.fits[0].inlier.sum()) if earth.fits else 0
+        if earth.is_fitted and n_agree < _FEWEST_PLACES:
+            said.append(
+                f"GPS was not used: any {n_agree} positions fit a path, so that nothing tells whether they are right"
+            )
+            earth = None
+        else:
+            said += [fit.sentence() for fit in earth.fits[:1]]
+        if earth is not None and earth.is_fitted:
             scene, unit = earth.scene, "m"
         else:
             earth = None
