@@ -38,6 +38,7 @@ from panopath.model import (
     Status,
     Summary,
     Tracks,
+    UndeterminedError,
 )
 from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
@@ -133,6 +134,7 @@ __all__ = [
     "TwoViewOptions",
     "TwoViewStatus",
     "TwoViews",
+    "UndeterminedError",
     "Verdict",
     "ViewGraphOptions",
     "ViewOrientations",
