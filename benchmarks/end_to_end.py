@@ -96,7 +96,7 @@ CASES: dict[str, Case] = {
         at_least={"is_determined": 1.0},
         at_most={"rmse_over_clean": 2.0},
     ),
-    "loop": Case("closed loop", LOOP, at_most={"end_drift_percent": 0.1}),
+    "loop": Case("closed loop", LOOP, at_least={"is_determined": 1.0}, at_most={"end_drift_percent": 0.1}),
     "large": Case("street video, turning over", LARGE, at_most={"peak_mb": 1500.0, "seconds_a_frame": 0.15}),
 }
 

@@ -36,7 +36,8 @@ METHOD = """
   Every run is a fresh process.
 - **rmse** is of the positions of the posed views after the best similarity to the truth, **worst** the largest error.
 - **End drift** is the error of the way from the first to the last view after that alignment, over the length of the
-  path. **Loop pairs** are pairs of views more than half the sequence apart that share at least 15 points in use.
+  path. **Loop pairs** are pairs of views more than half the sequence apart that share at least 15 points in use that
+  are nearer than a tenth of the path.
 """.strip()
 
 

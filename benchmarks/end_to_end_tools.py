@@ -25,8 +25,9 @@ from benchmarks.optional import load
 
 Answer = dict[str, Any]
 
-#: Points that two views share when they count as a closed loop.
-_SHARED = 15
+#: Points that two views share when they count as a closed loop, and how far they are at most, of the whole path: hills
+#: and clouds are seen from everywhere, and close nothing.
+_SHARED, _NEAR = 15, 0.1
 
 
 def in_fresh_process(tool: str, source: Path, out: Path, time_limit_s: float) -> Answer:
@@ -62,10 +63,13 @@ def panopath(source: Path, out: Path) -> Answer:
 
 
 def _loop_pairs(scene: Any) -> int:
-    """Pairs of views more than half the sequence apart that see the same points."""
-    n = len(scene.centers)
+    """Pairs of views more than half the sequence apart that see the same points near by."""
+    n, tracks = len(scene.centers), scene.tracks
+    length = np.linalg.norm(np.diff(scene.centers[np.isfinite(scene.centers).all(axis=1)], axis=0), axis=1).sum()
+    distance = np.linalg.norm(scene.points[tracks.track] - scene.centers[tracks.view], axis=1)
+    kept = scene.inlier & (distance < _NEAR * length)
     seen = np.zeros((n, len(scene.points)), dtype=np.float32)
-    seen[scene.tracks.view[scene.inlier], scene.tracks.track[scene.inlier]] = 1.0
+    seen[tracks.view[kept], tracks.track[kept]] = 1.0
     first, second = np.nonzero(seen @ seen.T >= _SHARED)
     return int((second - first > n / 2).sum())
 

@@ -9,6 +9,7 @@ allows; rigs that are larger are matched picture by picture.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +60,9 @@ def match_moments(
             )
         )
         turned.append(np.concatenate([rays[k] @ sensor_from_rig[camera[k]] for k in own.tolist()])[order])
-    found = match_images(together, turned, pixel_rad, options, in_sequence=in_sequence)
+    # as many leading features of each picture as where pictures are matched one by one
+    leading = replace(options, leading_features=options.leading_features * len(sensor_from_rig))
+    found = match_images(together, turned, pixel_rad, leading, in_sequence=in_sequence)
     return _of_pictures(found, image, local, camera, sensor_from_rig)
 
 
