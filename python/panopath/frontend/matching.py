@@ -172,6 +172,9 @@ def match_images(
         pixel_rad,
         chosen,
         len(tried),
+        # what is far away looks alike from everywhere: of places far apart it tells nothing, and its tracks over the
+        # whole path tear the map
+        most_apart=chosen.neighbours if in_sequence else None,
     )
 
 
@@ -301,12 +304,13 @@ def _determined(found: TwoViews) -> Bool:
     return np.asarray(status & (found.n_inliers >= _FEWEST))
 
 
-def _all_matches(
+def _all_matches(  # noqa: PLR0917
     table: _Table,
     rounds: Sequence[tuple[Int, TwoViews, FeatureMatches, Bool]],
     pixel_rad: float,
     options: MatchingOptions,
     n_tried: int,
+    most_apart: int | None,
 ) -> ImageMatches:
     """Match all features of the pairs whose motion is known, where it allows."""
     pairs = np.concatenate([tried[known] for tried, _, _, known in rounds])
@@ -317,6 +321,9 @@ def _all_matches(
         np.concatenate([part[known] for part, (*_, known) in zip(column, rounds, strict=True)])[order]
         for column in zip(*parts, strict=True)
     )
+    if most_apart is not None:
+        told = np.isfinite(direction).all(axis=1) | (pairs[:, 1] - pairs[:, 0] <= most_apart)
+        pairs, turn, direction, reach, band = (rows[told] for rows in (pairs, turn, direction, reach, band))
     found = table.match(pairs, MatchOptions(), MotionGuides(turn, direction, reach, band))
     counts = np.diff(found.starts)
     keep = counts >= options.min_matches
