@@ -184,6 +184,9 @@ def match_images(
         chosen,
         len(tried),
         drifts,
+        # what is far away looks alike from everywhere: of places far apart it tells nothing, and its tracks over the
+        # whole path tear the map
+        most_apart=chosen.neighbours if in_sequence else None,
     )
 
 
@@ -352,6 +355,7 @@ def _all_matches(  # noqa: PLR0917
     options: MatchingOptions,
     n_tried: int,
     drifts: Bool,
+    most_apart: int | None,
 ) -> ImageMatches:
     """Match all features of the pairs whose motion is known, where it allows."""
     pairs = np.concatenate([tried[known] for tried, _, _, known in rounds])
@@ -362,6 +366,9 @@ def _all_matches(  # noqa: PLR0917
         np.concatenate([part[known] for part, (*_, known) in zip(column, rounds, strict=True)])[order]
         for column in zip(*parts, strict=True)
     )
+    if most_apart is not None:
+        told = np.isfinite(direction).all(axis=1) | (pairs[:, 1] - pairs[:, 0] <= most_apart)
+        pairs, turn, direction, reach, band = (rows[told] for rows in (pairs, turn, direction, reach, band))
     found = table.match(pairs, MatchOptions(), MotionGuides(turn, direction, reach, band))
     if drifts.any():
         row = np.repeat(np.arange(len(pairs)), np.diff(found.starts))

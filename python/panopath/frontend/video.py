@@ -70,7 +70,7 @@ class VideoOptions:
     #: Width of the image on which points are followed.
     motion_width: int = 640
     #: Parallax from one keyframe to the next, radians.
-    parallax_rad: float = float(np.radians(14.0))
+    parallax_rad: float = float(np.radians(20.0))
     #: A video with less parallax than this many keyframes need has them closer together.
     least_keyframes: int = 16
     #: Frames further apart than this, in seconds, are no neighbours worth relying on: a keyframe comes in between.

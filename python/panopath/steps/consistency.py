@@ -31,7 +31,7 @@ class ConsistencyOptions:
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
     pair_chance: float = 1e-4
     #: Noise in the scene as a multiple of the noise among ten neighbouring views, over what it grew from four to ten.
-    max_tension: float = 1.08
+    max_tension: float = 1.11
     #: Gain of four neighbouring views left to themselves, a freedom, in units of noise.
     max_near_strain: float = 6.0
     #: The same of ten views.

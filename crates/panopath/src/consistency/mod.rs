@@ -49,7 +49,7 @@ pub struct ConsistencyOptions {
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-4.
     pub pair_chance: f64,
     /// Largest noise in the scene as a multiple of the noise among ten neighbouring views, over what it grew from four
-    /// to ten. Default: 1.08.
+    /// to ten. Default: 1.11.
     pub max_tension: f64,
     /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
     pub max_near_strain: f64,
@@ -67,7 +67,7 @@ impl Default for ConsistencyOptions {
             max_behind_share: 0.001,
             max_unplaced_share: 0.05,
             pair_chance: 1e-4,
-            max_tension: 1.08,
+            max_tension: 1.11,
             max_near_strain: 6.0,
             max_far_strain: 4.0,
         }
