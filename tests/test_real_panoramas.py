@@ -12,10 +12,10 @@ import pytest
 pytest.importorskip("cv2", reason="needs the extra images")
 pytest.importorskip("PIL", reason="needs the extra images")
 
-from panopath.formats.geo import LocalFrame  # noqa: E402
-from panopath.frontend import FrontEndOptions, read_header  # noqa: E402
-from panopath.frontend.images import image_files  # noqa: E402
-from panopath.run import RunOptions, reconstruct  # noqa: E402
+from panopath.formats.geo import LocalFrame
+from panopath.frontend import FrontEndOptions, read_header
+from panopath.frontend.images import image_files
+from panopath.run import RunOptions, reconstruct
 
 Find = Callable[[str], Path]
 
