@@ -93,12 +93,12 @@ def measure_ours(spec: Spec) -> dict[str, Any]:
     began = time.perf_counter()
     scene = pp.solve_positions(tracks, cam_from_world)
     seconds = time.perf_counter() - began
-    peak_mb = _peak_mb()
+    peak = peak_mb()
     return {
         **description,
         "seconds": seconds,
         "rms": camera_rms(scene.centers, centers),
-        "memory_mb": peak_mb - before_mb,
+        "memory_mb": peak - before_mb,
         "status": scene.summary.status.value,
         "iterations": scene.summary.iterations,
         "sigma_deg": float(np.degrees(scene.summary.sigma_rad)),
@@ -151,7 +151,7 @@ def measure_peer(name: str, spec: Spec) -> dict[str, Any]:
         "rms": camera_rms(result.centers, world.centers),
         "n_inputs": result.n_inputs,
         "notes": result.notes,
-        "peak_mb": _peak_mb(),
+        "peak_mb": peak_mb(),
     }
 
 
@@ -174,10 +174,10 @@ def _status_mb(name: str) -> float | None:
 
 def _resident_mb() -> float:
     held = _status_mb("VmRSS")
-    return _peak_mb() if held is None else held
+    return peak_mb() if held is None else held
 
 
-def _peak_mb() -> float:
+def peak_mb() -> float:
     """Peak of this process's memory; ``ru_maxrss`` alone would include the process that started it (Linux)."""
     peak = _status_mb("VmHWM")
     if peak is not None:

@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import panopath as pp
 import pytest
+from filmed import Film
 from hypothesis import settings
+from panopath.formats.crops import CropOptions
 from panopath.formats.structure import known_scene
+from panopath.run import Reconstructed, RunOptions, reconstruct
+from panopath.walk import render_walk
 
 # property tests draw the same cases on every run: a check that fails by chance is no check
 settings.register_profile("steady", derandomize=True)
@@ -67,3 +71,22 @@ def scene_of(world: pp.SyntheticWorld) -> pp.Scene:
     return known_scene(
         named, world.cam_from_world, centers, points, np.isfinite(residuals.residual_rad) & ~world.outlier
     )
+
+
+# walks that are filmed and reconstructed once for all tests; see filmed.py
+
+
+@pytest.fixture(scope="session")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
+    """A walk of 14 m, swaying, as a video."""
+    pytest.importorskip("av", reason="needs the extra video")
+    pytest.importorskip("cv2", reason="needs the extra images")
+    walk = render_walk(width_px=640, n_frames=40, frame_rate_hz=4.0, seed=2)
+    return Film(walk, walk.write_video(tmp_path_factory.mktemp("film") / "walk.mp4"))
+
+
+@pytest.fixture(scope="session")
+def made(film: Film, tmp_path_factory: pytest.TempPathFactory) -> Reconstructed:
+    """The undisturbed run on it, with crops."""
+    out = tmp_path_factory.mktemp("made") / "out"
+    return reconstruct(film.path, out, RunOptions(crops=CropOptions("cube")))

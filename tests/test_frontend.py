@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from panopath.frontend import (  # noqa: E402
     recognise,
     video_motion,
 )
+from panopath.frontend.video import _ahead, _gray  # noqa: E402
 
 Gray = npt.NDArray[np.uint8]
 W = 512
@@ -441,3 +443,29 @@ def test_equirectangular_pixels_of_patches_round_trip() -> None:
     pixels = np.array([[0.5, 0.5], [W - 0.5, 100.0], [W / 2, W / 2 - 0.5]])
     rays = bearings_from_equirectangular(pixels, W, W // 2)
     np.testing.assert_allclose(equirectangular_from_bearings(rays, W, W // 2), pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuvj420p", "yuv444p", "gray", "rgb24", "yuv420p10le"])
+def test_brightness_is_that_of_ffmpeg(pixel_format: str) -> None:
+    av = pytest.importorskip("av", reason="needs the extra video")
+    rng = np.random.default_rng(0)
+    # odd widths have rows with something behind them
+    color = np.repeat(np.repeat(rng.integers(0, 256, (13, 26, 3), dtype=np.uint8), 10, axis=0), 10, axis=1)
+    frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format=pixel_format)
+    expected = frame.reformat(format="gray").to_ndarray()[:130, :260].astype(np.int64)
+    assert np.abs(_gray(frame, 260) - expected).max() <= 1
+    half = _gray(frame, 130).astype(np.int64)
+    assert half.shape == (65, 130)
+    assert np.abs(half - expected.reshape(65, 2, 130, 2).mean(axis=(1, 3))).max() <= 2
+
+
+def test_what_is_made_ahead_comes_in_its_order() -> None:
+    def items() -> Iterator[int]:
+        yield from range(5)
+        raise InputError("here")
+
+    made = _ahead(items())
+    assert [next(made) for _ in range(5)] == [0, 1, 2, 3, 4]
+    with pytest.raises(InputError, match="here"):
+        next(made)
+    assert list(_ahead(iter(()))) == []

@@ -52,7 +52,7 @@ class Checkpoints:
         """Give what was written under this name, None where there is nothing of this key."""
         path = self._path(name)
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 if str(archive[_KEY]) != key:
                     return None
                 return {entry: archive[entry] for entry in archive.files if entry != _KEY}

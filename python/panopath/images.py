@@ -92,9 +92,11 @@ def encoded(picture: Picture, suffix: str, quality: int = 95) -> bytes:
         For a kind that OpenCV does not write.
     """
     cv2 = load_opencv()
+    # other kinds have other settings, and complain of this one
+    settings = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix.lower() in {".jpg", ".jpeg"} else []
     try:
         bgr = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        done, data = cv2.imencode(suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        done, data = cv2.imencode(suffix, bgr, settings)
     except cv2.error:
         done, data = False, None
     if not done:

@@ -18,9 +18,7 @@ import typer
 from rich.console import Console
 
 from panopath import _core
-from panopath.model import (
-    PanopathError,
-)
+from panopath.model import PanopathError, UndeterminedError
 
 EXIT_INPUT = 2
 
@@ -77,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if "--json" in given:
             sys.stdout.write(json.dumps({"error": line}) + "\n")
         Console(stderr=True, highlight=False, soft_wrap=True).print(f"panopath: {line}", markup=False)
-        sys.exit(EXIT_INPUT)
+        sys.exit(EXIT_UNDETERMINED if isinstance(error, UndeterminedError) else EXIT_INPUT)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:

@@ -67,7 +67,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
-        staged.unlink(missing_ok=True)
+        # where it could not be made, it may not be possible to take it away either
+        with contextlib.suppress(OSError):
+            staged.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -99,8 +99,10 @@ def write_scene(
         scene = _with_tracks(scene, tracks)
     check_writable(place, overwrite)
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        staged = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+        # a folder that is there may be a disk of its own, and what holds it closed to us
+        where = place if place.is_dir() else place.parent
+        where.mkdir(parents=True, exist_ok=True)
+        staged = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=where))
     except OSError as error:
         raise InputError(f"{place}: cannot be written ({error.strerror})") from None
     try:

@@ -4,7 +4,7 @@ from panopath.frontend.features import FeatureOptions, Features, extract_feature
 from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import ImageHeader, image_files, read_header, read_image
 from panopath.frontend.matching import ImageMatches, MatchingOptions, candidate_pairs, match_images
-from panopath.frontend.pictures import FrontEndOptions, Measured, Picture, measure
+from panopath.frontend.pictures import FrontEndOptions, Measured, Picture, check_masks, measure
 from panopath.frontend.sources import Source, SourceKind, recognise
 from panopath.frontend.video import (
     VideoFrame,
@@ -16,6 +16,7 @@ from panopath.frontend.video import (
     read_frames,
     video_motion,
 )
+from panopath.frontend.whole import why_not_whole
 
 __all__ = [
     "FeatureOptions",
@@ -36,6 +37,7 @@ __all__ = [
     "VideoMotion",
     "VideoOptions",
     "candidate_pairs",
+    "check_masks",
     "choose_keyframes",
     "extract_features",
     "find_fixed",
@@ -47,5 +49,6 @@ __all__ = [
     "read_image",
     "recognise",
     "video_motion",
+    "why_not_whole",
     "without_fixed",
 ]

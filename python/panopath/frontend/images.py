@@ -74,7 +74,9 @@ def read_header(path: Path) -> ImageHeader:
     except InputError:
         raise
     except Exception as error:  # Pillow's readers raise anything for damaged files
-        raise InputError(f"{path}: cannot be read as a picture ({_reason(error)})") from None
+        raise InputError(
+            f"{path}: cannot be read as a picture ({_reason(error)}); copy it again or leave it out"
+        ) from None
     if rotated:
         width, height = height, width
     equivalent = _number(inner.get(0xA405))
@@ -171,7 +173,7 @@ def read_image(path: Path, width: int | None = None, *, color: bool = False) -> 
         except cv2.error:
             picture = None
     if picture is None:
-        raise InputError(f"{path}: cannot be decoded, it is damaged or no picture")
+        raise InputError(f"{path}: cannot be decoded, it is damaged or no picture; copy it again or leave it out")
     picture = at_width(picture, width)
     return np.ascontiguousarray(picture[..., ::-1]) if color else picture
 

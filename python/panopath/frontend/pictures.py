@@ -40,15 +40,15 @@ from panopath.frontend.video import (
     read_frames,
     video_motion,
 )
-from panopath.model import Bool, Float, InputError, Int
+from panopath.model import Bool, Float, InputError, Int, UndeterminedError
 
 Index = npt.NDArray[np.int64]
 
 _NOT_DETERMINED = {
     VideoKind.STILL: "the camera stands still: there is no path to find; move it by some metres",
     VideoKind.PURE_ROTATION: "the camera only turns: without a change of place nothing can be seen in depth",
-    VideoKind.DARK: "the video is too dark to follow anything",
-    VideoKind.TEXTURELESS: "there is nothing to follow: no texture",
+    VideoKind.DARK: "the video is too dark to follow anything: film with more light",
+    VideoKind.TEXTURELESS: "there is nothing to follow, no texture; expected a place with things to see",
 }
 #: Pictures in work at once, at most: each takes some 40 times its bytes.
 _MOST_AT_ONCE = 4
@@ -144,6 +144,8 @@ def measure(
     Raises
     ------
     InputError
+        Where a picture or a mask cannot be used.
+    UndeterminedError
         Where the source says why nothing can be found: it stands still, is dark, nothing matches.
     """
     chosen = FrontEndOptions() if options is None else options
@@ -164,7 +166,7 @@ def measure(
     features = [one.features for one in looked]
     empty = tuple(one.name for one in looked if len(one.features) < _FEWEST)
     if len(features) - len(empty) < 2:
-        raise InputError(
+        raise UndeterminedError(
             f"{source.path}: {len(empty)} of {len(features)} pictures have no features (dark, blurred or "
             "without texture), expected at least two that have some"
         )
@@ -186,7 +188,7 @@ def measure(
     matches = Store(store, key).matches(lambda: _match(source, full, rays, float(np.median(pixel_rad)), chosen))
     seconds["matching"] = time.perf_counter() - begin
     if not len(matches.pairs):
-        raise InputError(
+        raise UndeterminedError(
             f"{source.path}: no two pictures match, expected pictures that show the same things from "
             "places not far apart"
         )
@@ -293,7 +295,7 @@ def _moving(
     n = source.video.n_frames if source.video is not None else 0
     motion = store.motion(lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n)))
     if motion.kind is not VideoKind.MOVING:
-        raise InputError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
+        raise UndeterminedError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
     return motion
 
 
@@ -302,8 +304,7 @@ def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Boo
     source, width = look.source, look.options.width
     if look.keyframes is not None:
         own = min(width, source.cameras[0].width) // 2 * 2
-        if look.masks is not None and not look.masks.is_file():
-            raise InputError(f"{look.masks}: is no file, expected one mask for all frames of a video")
+        check_masks(source, look.masks)
         mask = None if look.masks is None else read_mask(look.masks)
         frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color)
         for k, frame in zip(wanted, frames, strict=True):
@@ -316,6 +317,23 @@ def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Boo
         gray = _at_working_size(read_image(path) if rgb is None else _gray(rgb), source, width)
         mask = None if mask_file is None else read_mask(mask_file)
         yield Picture(k, name, gray, rgb, np.nan if header.time_s is None else header.time_s), mask
+
+
+def check_masks(source: Source, masks: Path | None) -> None:
+    """Say now, before long work, whether masks cannot be used.
+
+    Raises
+    ------
+    InputError
+        Where they are not there, are no pictures, or are a folder but the source is a video.
+    """
+    if masks is None:
+        return
+    if source.kind is SourceKind.VIDEO and masks.is_dir():
+        raise InputError(f"{masks}: is a folder, expected one mask for all frames of a video")
+    masks_of(masks, list(source.images))
+    if masks.is_file():
+        read_mask(masks)
 
 
 def _gray(color: Gray) -> Gray:

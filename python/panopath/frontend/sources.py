@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from panopath.cameras import bearings_from_pixels
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.csv import rotation_from_quaternion
 from panopath.frontend.images import ImageHeader, image_files, read_header
 from panopath.frontend.video import VideoHeader, read_video_header
-from panopath.model import Float, InputError, Int, read_only
+from panopath.model import Float, InputError, Int, MissingExtraError, read_only
 
 #: Pictures this much off twice as wide as high are panoramas whose last row or column was lost.
 _ASPECT_TOLERANCE = 0.005
@@ -185,6 +186,26 @@ def _camera_of_text(file: Path, width: int, height: int) -> Camera:
         raise InputError(f"{file}: {error}, expected id, model, width, height, parameters") from None
     if full != (width, height):
         raise InputError(f"{file}: the camera is {full[0]} x {full[1]}, but the pictures are {width} x {height}")
+    return _checked(str(file), camera)
+
+
+def _checked(where: str, camera: Camera) -> Camera:
+    """Hand back a camera that sees something in the middle of its pictures."""
+    if camera.model in {EQUIRECTANGULAR_ID, "EQUIRECTANGULAR"}:
+        return camera
+    x, y = camera.width / 2, camera.height / 2
+    known = {"model": camera.model, "width": camera.width, "height": camera.height, "params": list(camera.params)}
+    try:
+        with np.errstate(all="ignore"):
+            first, second = bearings_from_pixels(known, [[x, y], [x + 1.0, y]])
+    except MissingExtraError:
+        raise
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    if not np.linalg.norm(second - first) > 0.0:
+        raise InputError(
+            f"{where}: with the parameters {list(camera.params)} the camera sees nothing, expected its own"
+        )
     return camera
 
 
@@ -243,7 +264,7 @@ def _rig(folder: Path, file: Path) -> Source:
     made = []
     for c, camera in enumerate(cameras):
         width, height = _one_size(folder, [h for h, row in zip(headers, rows, strict=True) if row[1] == c])
-        made.append(Camera(c + 1, camera.model, width, height, camera.params))
+        made.append(_checked(f"{file}: camera {c}", Camera(c + 1, camera.model, width, height, camera.params)))
     sizes = " and ".join(sorted({f"{camera.width} x {camera.height}" for camera in made}))
     return Source(
         SourceKind.RIG,

@@ -11,10 +11,11 @@ The video is decoded twice, first small and whole, then the keyframes at the wor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,7 @@ from panopath.model import Bool, Float, InputError, Tracks, read_only
 from panopath.steps import fit_rotations
 
 Index = npt.NDArray[np.int64]
+_Item = TypeVar("_Item")
 
 #: Points followed, and fewest that say how the camera moved.
 _POINTS, _FEWEST = 400, 25
@@ -41,6 +43,10 @@ _DARK = 16.0
 _PAD = 48
 #: Elevation up to which points are followed: nearer the poles the image is stretched too much.
 _MOST_ELEVATION_RAD = float(np.radians(60.0))
+#: Formats of frames whose first plane is the brightness, a byte a pixel; FFmpeg's number of the full range of it.
+_BRIGHTNESS_FIRST = {"yuv420p", "yuv422p", "yuv444p", "yuvj420p", "yuvj422p", "yuvj444p", "nv12", "gray"}
+_FULL_RANGE = 2
+_FULL_FROM_LIMITED = np.clip(np.rint((np.arange(256) - 16.0) * (255.0 / 219.0)), 0.0, 255.0).astype(np.uint8)
 
 
 class VideoKind(StrEnum):
@@ -155,7 +161,8 @@ class _open:  # noqa: N801 a function to its callers
         try:
             self._container = av.open(str(self._path))
         except (av.error.FFmpegError, OSError) as error:
-            raise InputError(f"{self._path}: cannot be read as a video ({error.strerror or error})") from None
+            why = "it was cut short and has no index" if _has_no_index(self._path) else error.strerror or str(error)
+            raise InputError(f"{self._path}: cannot be read as a video ({why})") from None
         if not self._container.streams.video or not self._container.streams.video[0].codec_context.width:
             self._container.close()
             raise InputError(f"{self._path}: has no video stream")
@@ -165,6 +172,27 @@ class _open:  # noqa: N801 a function to its callers
 
     def __exit__(self, *_: object) -> None:
         self._container.close()
+
+
+def _has_no_index(path: Path) -> bool:
+    """Whether a file is an MP4 without the box that says where its frames are, which cameras write last."""
+    kinds: list[bytes] = []
+    place = 0
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            while place + 8 <= size and len(kinds) < 64:
+                file.seek(place)
+                head = file.read(16)
+                length = int.from_bytes(head[:4], "big")
+                length = int.from_bytes(head[8:], "big") if length == 1 else length
+                kinds.append(head[4:8])
+                if length < 8:
+                    break
+                place += length
+    except OSError:
+        return False
+    return kinds[:1] == [b"ftyp"] and b"moov" not in kinds
 
 
 def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[Any]:
@@ -189,6 +217,33 @@ def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[A
                         damaged()
                 else:
                     yield frame
+
+
+def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
+    """Yield the items, while a thread makes the next one: decoding and what follows share two processors."""
+    end = object()
+    with ThreadPoolExecutor(1) as pool:
+        following: Future[Any] = pool.submit(next, items, end)
+        while (item := following.result()) is not end:
+            following = pool.submit(next, items, end)
+            yield item
+
+
+def _gray(frame: Any, width: int) -> Gray:
+    """Brightness of a frame, ``width // 2`` high: where the codec keeps it apart, colours need not be looked at."""
+    height = width // 2
+    if frame.format.name not in _BRIGHTNESS_FIRST:
+        shrunk = frame.reformat(width=width, height=height, format="gray", interpolation="AREA").to_ndarray()
+        return np.ascontiguousarray(shrunk[:height, :width])
+    plane, cv2 = frame.planes[0], opencv()
+    picture = np.frombuffer(plane, dtype=np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+    shrunk = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(shrunk if _is_full_range(frame) else cv2.LUT(shrunk, _FULL_FROM_LIMITED), dtype=np.uint8)
+
+
+def _is_full_range(frame: Any) -> bool:
+    """Whether brightness goes from 0 to 255, else from 16 to 235, as it does where nothing is said."""
+    return frame.format.name.startswith(("yuvj", "gray")) or int(frame.color_range) == _FULL_RANGE
 
 
 def video_motion(
@@ -217,11 +272,15 @@ def video_motion(
         counter["corrupt"] += 1
 
     width = chosen.motion_width
+
+    def small() -> Iterator[tuple[float | None, Gray]]:
+        for frame in _frames(path, damaged):
+            yield frame.time, _gray(frame, width)
+
     follower, times = _Follower(width), []
-    for k, frame in enumerate(_frames(path, damaged)):
-        small = frame.reformat(width=width, height=width // 2, format="gray", interpolation="AREA").to_ndarray()
-        times.append(float(frame.time) if frame.time is not None else float(k))
-        follower.see(np.ascontiguousarray(small[: width // 2, :width]))
+    for k, (time, picture) in enumerate(_ahead(small())):
+        times.append(float(k) if time is None else float(time))
+        follower.see(picture)
         if report is not None:
             report(k + 1)
     if not times:
@@ -324,10 +383,13 @@ class _Follower:
         )
 
     def _kind(self, rotations: Float, travelled: Float) -> VideoKind:
+        is_dark = float(np.median(self._brightness)) < _DARK
         if float(np.median(self._n_points)) < _FEWEST:
-            return VideoKind.DARK if float(np.median(self._brightness)) < _DARK else VideoKind.TEXTURELESS
+            return VideoKind.DARK if is_dark else VideoKind.TEXTURELESS
         if travelled[-1] >= _STILL_RAD:
             return VideoKind.MOVING
+        if is_dark:
+            return VideoKind.DARK  # what little is seen stays, as noise of the sensor does
         cosine = 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0)
         turned = float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
         return VideoKind.PURE_ROTATION if turned > _NO_TURN_RAD else VideoKind.STILL
@@ -389,7 +451,13 @@ class VideoFrame:
 
 
 def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool = False) -> Iterator[VideoFrame]:
-    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high."""
+    """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high.
+
+    Raises
+    ------
+    InputError
+        Where there are not so many.
+    """
     wanted = iter(indices)
     following = next(wanted, None)
     for k, frame in enumerate(_frames(path)):
@@ -398,7 +466,8 @@ def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool =
         if k != int(following):
             continue
         following = next(wanted, None)
-        size = {"width": width, "height": width // 2, "interpolation": "AREA"}
-        gray = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray()[: width // 2, :width])
+        gray = _gray(frame, width)
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
+    if following is not None:
+        raise InputError(f"{path}: frame {following} cannot be read any more; was the file changed?")

@@ -7,8 +7,11 @@ Each stage leaves a checkpoint in ``OUT/.work``; a run that was stopped goes on 
 
 from __future__ import annotations
 
+import errno
+import re
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -19,19 +22,23 @@ import numpy as np
 from panopath.certificate import Certificate
 from panopath.checkpoints import Checkpoints
 from panopath.formats.folder import is_scene_folder
-from panopath.frontend import Measured, Source, SourceKind, measure, recognise
+from panopath.frontend import Measured, Source, SourceKind, check_masks, measure, recognise, why_not_whole
 from panopath.frontend.images import positions_of
 from panopath.frontend.stored import Store
-from panopath.model import Float, InputError, Scene
+from panopath.model import Float, InputError, Scene, UndeterminedError
 from panopath.run.mapped import Mapped, mapped
 from panopath.run.options import RunOptions
 from panopath.run.outputs import Answer, ImageKeeper, write_outputs
-from panopath.run.place import Placed, gravity_of, place_on_earth, with_times
+from panopath.run.place import Placed, gravity_of, picture_named, place_on_earth, with_times
 from panopath.steps import certify
 
 Report = Callable[[str, int, int], None]
 
 _WORK = ".work"
+#: What a disk without room says, or one with a quota.
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+#: A video that has so much fewer frames than it announces has lost some.
+_LOST_SHARE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,35 +103,46 @@ def reconstruct(
     Raises
     ------
     InputError
-        Where the source cannot be used, says why nothing can be found, or ``out`` cannot be written.
+        Where the source cannot be used, or ``out`` cannot be written. What was done stays, as after any interruption.
+    UndeterminedError
+        Where nothing can be found in the source: it says why.
     MissingExtraError
         Where what reads pictures or video is not installed.
     """
     chosen, folder = RunOptions() if options is None else options, Path(out)
     say = report or (lambda _stage, _done, _of: None)
     seconds: dict[str, float] = {}
-    with _timed(seconds, "all"):
+    with _timed(seconds, "all"), _one_line(folder):
         recognised = recognise(source, rig=chosen.rig)
         check_folder(folder, overwrite)
+        check_masks(recognised, chosen.masks)
+        if recognised.kind in {SourceKind.PANORAMAS, SourceKind.PERSPECTIVE}:
+            _check_baseline(recognised.names, chosen)
+        if Checkpoints.is_at(folder / _WORK):
+            _sweep(folder)
         store = Checkpoints(folder / _WORK)
         if force:
             store.clear()
         keeper = ImageKeeper(recognised, folder, chosen)
-        measured = measure(
-            recognised, chosen.front_end, masks=chosen.masks, store=store, report=say, each=keeper.keep, color=True
-        )
+        with _explained(recognised):
+            measured = measure(
+                recognised, chosen.front_end, masks=chosen.masks, store=store, report=say, each=keeper.keep, color=True
+            )
         seconds |= measured.seconds
+        if recognised.kind is SourceKind.VIDEO:
+            _check_baseline(measured.database.image_names, chosen)
         with _timed(seconds, "mapping"):
             say("mapping", 0, 0)
             found = mapped(measured, chosen, Store(store, measured.key))
-        _check_found(recognised, found.scene)
+        with _explained(recognised):
+            _check_found(recognised, found.scene)
         with _timed(seconds, "certificate"):
             say("certificate", 0, 0)
             certificate = _certified(recognised, found.scene, chosen)
         with _timed(seconds, "writing"):
             say("writing", 0, 0)
             placed = _placed(measured, found, chosen)
-            statements = (*_statements(measured, found), *placed.statements)
+            statements = (*_statements(measured, found), *placed.statements, *_doubts(recognised, found, certificate))
             answer = Answer(
                 recognised, measured, found.observations, placed, certificate, statements, dict(seconds), chosen
             )
@@ -150,6 +168,55 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     seconds[stage] = time.perf_counter() - begin
 
 
+@contextmanager
+def _one_line(folder: Path) -> Iterator[None]:
+    """Turn what the disk refuses into one line that says what to do."""
+    try:
+        yield
+    except InputError as error:
+        # a writer has said which file it was
+        cause = error.__context__
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            raise InputError(f"{error}; make room and give the same command again: it goes on from here") from None
+        raise
+    except OSError as error:
+        place = error.filename or folder
+        raise InputError(f"{place}: cannot be read or written ({error.strerror or error})") from None
+
+
+@contextmanager
+def _explained(source: Source) -> Iterator[None]:
+    """Where nothing is found, say it if the pictures do not look like what they were taken for."""
+    try:
+        yield
+    except UndeterminedError as error:
+        why = why_not_whole(source)
+        if why:
+            raise UndeterminedError(f"{error}; {why}") from None
+        raise
+
+
+def _doubts(source: Source, found: Mapped, certificate: Certificate | None) -> tuple[str, ...]:
+    """Say the same of a scene that cannot be believed."""
+    sound = found.scene.summary.status.is_determined and (certificate is None or certificate.is_determined)
+    why = "" if sound else why_not_whole(source)
+    return (why,) if why else ()
+
+
+def _sweep(folder: Path) -> None:
+    """Take away what a run was writing just when it was killed."""
+    for path in folder.rglob(".*.part"):
+        path.unlink(missing_ok=True)
+    for path in folder.iterdir():
+        if re.fullmatch(rf"\.{re.escape(folder.name)}\.\w{{8}}", path.name) and path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _check_baseline(names: Sequence[str], options: RunOptions) -> None:
+    for name in () if options.baseline is None else options.baseline[:2]:
+        picture_named(names, name)
+
+
 def check_folder(folder: Path, overwrite: bool) -> None:
     """Say now, before long work, whether :func:`reconstruct` would refuse to write here.
 
@@ -167,7 +234,7 @@ def check_folder(folder: Path, overwrite: bool) -> None:
 
 def _check_found(source: Source, scene: Scene) -> None:
     if not scene.summary.n_solved_views:
-        raise InputError(
+        raise UndeterminedError(
             f"{source.path}: no two pictures could be placed, since what they share shows no parallax; expected a "
             "camera that moves among things not far away"
         )
@@ -200,14 +267,17 @@ def _placed(measured: Measured, found: Mapped, options: RunOptions) -> Placed:
     position = None
     if options.use_gps and source.headers:
         position = positions_of([source.headers[k] for k in first.tolist()])
-    return place_on_earth(
-        scene,
-        None if gravity is None or not np.isfinite(gravity).any() else gravity,
-        position,
-        options.camera_height_m,
-        options.baseline,
-        _has_levers(source),
-    )
+    try:
+        return place_on_earth(
+            scene,
+            None if gravity is None or not np.isfinite(gravity).any() else gravity,
+            position,
+            options.camera_height_m,
+            options.baseline,
+            _has_levers(source),
+        )
+    except InputError as error:
+        raise InputError(f"{error}; all else is done and kept: another scale, or none, is quick") from None
 
 
 def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
@@ -218,6 +288,10 @@ def _statements(measured: Measured, found: Mapped) -> tuple[str, ...]:
         said.append(f"{n_views} keyframes of {len(measured.motion)} frames, {n_solved} placed")
         if measured.motion.n_corrupt:
             said.append(f"{measured.motion.n_corrupt} frames could not be decoded and were passed over")
+        announced = 0 if measured.source.video is None else measured.source.video.n_frames
+        lost = announced - len(measured.motion) - measured.motion.n_corrupt
+        if lost > max(1.0, _LOST_SHARE * announced):
+            said.append(f"the file announces {announced} frames, {lost} of them are absent: it is damaged or cut short")
         if measured.motion.lost.any():
             said.append(f"the view changed at once {int(measured.motion.lost.sum())} times, as at a cut")
     else:

@@ -49,6 +49,8 @@ class RunOptions:
         if self.baseline is not None:
             if len(self.baseline) != 3:
                 raise InputError(f"baseline is {self.baseline!r}, expected two names and metres")
+            if self.baseline[0] == self.baseline[1]:
+                raise InputError(f"baseline is from {self.baseline[0]!r} to itself, expected two pictures")
             if not (np.isfinite(self.baseline[2]) and self.baseline[2] > 0.0):
                 raise InputError(f"baseline is {self.baseline[2]!r} metres, expected a positive number")
             if self.camera_height_m is not None:

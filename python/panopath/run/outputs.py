@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -32,7 +33,7 @@ from panopath.report.page import ReportNotes, write_report
 from panopath.run.options import RunOptions
 from panopath.run.place import Placed
 
-_RUN = "run.json"
+_RUN, _CROPS = "run.json", "crops"
 _GREY = 128
 
 
@@ -63,9 +64,16 @@ class ImageKeeper:
         self.folder.mkdir(parents=True, exist_ok=True)
         write_bytes(self.folder / name, encoded(color, ".jpg", self._options.jpeg_quality))
 
+    def written(self, measured: Measured, out: Path) -> set[str]:
+        """Files of the keyframes, path from ``out``."""
+        if self._source.kind is not SourceKind.VIDEO or not self._options.keep_images:
+            return set()
+        return {(self.folder / name).relative_to(out).as_posix() for name in measured.database.image_names}
+
     def files(self, scene: Scene) -> list[Path | None]:
         """Panorama of each view, None where there is none."""
-        if not self._source.is_panoramic:
+        is_kept = self._source.kind is not SourceKind.VIDEO or self._options.keep_images
+        if not (self._source.is_panoramic and is_kept):
             return [None] * len(scene.centers)
         paths = [self.folder / name for name in scene.view_labels()]
         return [path if path.exists() else None for path in paths]
@@ -146,6 +154,7 @@ def write_outputs(
         Where something cannot be written.
     """
     scene, source = answer.placed.scene, answer.source
+    before = _made_before(out)
     keeper.complete(answer.measured)
     colours = point_colours(answer.measured, answer.observations, len(scene.points))
     camera = source.cameras[0]
@@ -184,16 +193,20 @@ def write_outputs(
     files |= _write_path(scene, answer.placed.georeference, out)
     if answer.options.crops is not None and any(pictures):
         report("cutting crops", 0, len(pictures))
+        _remove(out, before & {_CROPS})
         done = write_crops(
             scene,
             pictures,
-            out / "crops",
+            out / _CROPS,
             answer.options.crops,
             masks=None if mask_files is None else masks.of,
             report=lambda k, n: report("cutting crops", k, n),
         )
         files["crops/transforms.json"] = f"{done.n_images} pinhole crops with COLMAP model and transforms.json"
-    _write_run(answer, keeper, out)
+    made = set(files) | {file for file in mask_files or () if file is not None} | keeper.written(answer.measured, out)
+    made |= {_CROPS} if "crops/transforms.json" in files else set()
+    _remove(out, before - made)
+    _write_run(answer, keeper, out, sorted(made))
     notes = ReportNotes(
         title=source.path.name,
         subtitle=source.description,
@@ -259,7 +272,31 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, bool | int | float | str | None) else str(value)
 
 
-def _write_run(answer: Answer, keeper: ImageKeeper, out: Path) -> None:
+def _made_before(out: Path) -> set[str]:
+    """Give what an earlier run wrote here, path from ``out``."""
+    try:
+        made = json.loads((out / _RUN).read_text(encoding="utf-8"))["made"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return set()
+    return {name for name in made if isinstance(name, str)} if isinstance(made, list) else set()
+
+
+def _remove(out: Path, names: set[str]) -> None:
+    """Take away what an earlier run wrote and this one does not, so that all that is there belongs together."""
+    for name in sorted(names):
+        stale = out / name
+        if not stale.parent.resolve().is_relative_to(out.resolve()):
+            continue
+        if name == _CROPS:
+            shutil.rmtree(stale, ignore_errors=True)
+            continue
+        with contextlib.suppress(OSError):
+            stale.unlink(missing_ok=True)
+            if stale.parent != out:
+                stale.parent.rmdir()
+
+
+def _write_run(answer: Answer, keeper: ImageKeeper, out: Path, made: list[str]) -> None:
     """Write what other programs, and `panopath view`, want to know of the run."""
     content = {
         "panopath": _core.__version__,
@@ -271,5 +308,6 @@ def _write_run(answer: Answer, keeper: ImageKeeper, out: Path) -> None:
         "statements": list(answer.statements),
         "seconds": {name: round(value, 3) for name, value in answer.seconds.items()},
         "settings": plain_settings(answer.options),
+        "made": made,
     }
     write_bytes(out / _RUN, (json.dumps(content, indent=1) + "\n").encode())

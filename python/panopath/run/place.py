@@ -94,7 +94,7 @@ def place_on_earth(  # noqa: PLR0917
         scene, unit = _sized(scene, camera_height_m / camera_height(scene)), "m"
         said.append(f"scale is from the camera's height above the ground, {camera_height_m:g} m")
     elif baseline is not None:
-        first, second = (_view_of(scene, name) for name in baseline[:2])
+        first, second = (picture_named(scene.view_labels(), name) for name in baseline[:2])
         scene, unit = _sized(scene, scale_from_baseline(scene, first, second, baseline[2])), "m"
         said.append(f"scale is from the distance of {baseline[0]} and {baseline[1]}, {baseline[2]:g} m")
     elif position_wgs84 is not None and np.isfinite(np.asarray(position_wgs84)[:, :2]).all(axis=1).any():
@@ -171,8 +171,15 @@ def _sized(scene: Scene, scale: float) -> Scene:
     return moved_scene(scene, scale=scale)
 
 
-def _view_of(scene: Scene, name: str) -> int:
-    labels = list(scene.view_labels())
+def picture_named(labels: Sequence[str], name: str) -> int:
+    """Find the end of a baseline among the names of pictures; endings may be left out.
+
+    Raises
+    ------
+    InputError
+        Where there is none of this name.
+    """
+    labels = list(labels)
     if name in labels:
         return labels.index(name)
     # an image of a folder may be called without its ending, a frame of a video by its number

@@ -30,8 +30,8 @@ class ConsistencyOptions:
     max_unplaced_share: float = 0.05
     #: Chance, over all pairs of views, below which a pair is believed to disagree.
     pair_chance: float = 1e-4
-    #: Noise in the scene as a multiple of the noise among ten neighbouring views.
-    max_tension: float = 1.3
+    #: Noise in the scene as a multiple of the noise among ten neighbouring views, over what it grew from four to ten.
+    max_tension: float = 1.08
     #: Gain of four neighbouring views left to themselves, a freedom, in units of noise.
     max_near_strain: float = 6.0
     #: The same of ten views.

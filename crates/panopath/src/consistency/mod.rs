@@ -48,7 +48,8 @@ pub struct ConsistencyOptions {
     pub max_unplaced_share: f64,
     /// Chance, over all pairs, below which a pair of views is believed to disagree. Default: 1e-4.
     pub pair_chance: f64,
-    /// Largest noise in the scene as a multiple of the noise among ten neighbouring views. Default: 1.3.
+    /// Largest noise in the scene as a multiple of the noise among ten neighbouring views, over what it grew from four
+    /// to ten. Default: 1.08.
     pub max_tension: f64,
     /// Largest gain of four neighbouring views left to themselves, a freedom, in units of noise. Default: 6.
     pub max_near_strain: f64,
@@ -66,7 +67,7 @@ impl Default for ConsistencyOptions {
             max_behind_share: 0.001,
             max_unplaced_share: 0.05,
             pair_chance: 1e-4,
-            max_tension: 1.3,
+            max_tension: 1.08,
             max_near_strain: 6.0,
             max_far_strain: 4.0,
         }
@@ -225,7 +226,7 @@ fn judge_windows<const D: usize, const V: usize>(
 ) {
     let near = windows::adjust::<D, V>(rays, ties, windows::NEAR);
     let far = windows::adjust::<D, V>(rays, ties, windows::FAR);
-    let tension = windows::tension(rays, noise, &far);
+    let tension = windows::tension(rays, noise, &near, &far);
     found.note("tension", tension.iter().map(|t| t.ratio()), o.max_tension);
     for (component, t) in tension.iter().enumerate().filter(|(_, t)| t.ratio() > o.max_tension) {
         let part = rays.part_name(component);

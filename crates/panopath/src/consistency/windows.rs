@@ -408,22 +408,46 @@ fn forward(factor: &[f64], n: usize, first: usize, x: &mut [f64]) {
 /// With fewer equations left over, chance alone may put two noises this far apart.
 const LEAST_TENSION_FREEDOM: f64 = 200.0;
 
-/// Noise of a component in the scene, and of its windows by themselves.
+/// Noise of a component in the scene, and of its wide and its narrow windows by themselves.
 #[derive(Clone, Copy)]
 pub(super) struct Tension {
+    pub narrow_rad: f64,
     pub alone_rad: f64,
     pub scene_rad: f64,
 }
 
 impl Tension {
-    /// NaN where either is not known.
+    /// How much the noise grows from the wide windows to the scene, over what it grew from the narrow ones to the wide
+    /// ones: features of pictures err alike in neighbouring views, so that a right scene has more noise too, but no jump.
+    /// NaN where one is not known.
     pub fn ratio(&self) -> f64 {
-        self.scene_rad / self.alone_rad
+        let growth = self.alone_rad / self.narrow_rad;
+        self.scene_rad / self.alone_rad / if growth.is_nan() { 1.0 } else { growth.max(1.0) }
     }
 }
 
 /// Tension of each component.
-pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], windows: &[Window]) -> Vec<Tension> {
+pub(super) fn tension<const D: usize>(
+    rays: &Rays<'_, D>,
+    noise: &[Noise],
+    narrow: &[Window],
+    wide: &[Window],
+) -> Vec<Tension> {
+    let narrow = noise_alone(rays, narrow);
+    let of = |(n, (narrow_rad, alone_rad)): (&Noise, (f64, f64))| Tension {
+        narrow_rad,
+        alone_rad,
+        scene_rad: floor(n.sigma_rad),
+    };
+    noise.iter().zip(narrow.into_iter().zip(noise_alone(rays, wide))).map(of).collect()
+}
+
+fn floor(sigma: f64) -> f64 {
+    if sigma.is_nan() { sigma } else { sigma.max(LEAST_NOISE_RAD) }
+}
+
+/// Noise of the windows of each component by themselves, NaN where they cover too little of it.
+fn noise_alone<const D: usize>(rays: &Rays<'_, D>, windows: &[Window]) -> Vec<f64> {
     let of_component = |c: usize| {
         let own = windows.iter().filter(|w| rays.view_component[w.views[0] as usize] == c as i32);
         let (left, freedom) = own.clone().fold((0.0, 0.0), |(left, freedom), w| {
@@ -435,9 +459,7 @@ pub(super) fn tension<const D: usize>(rays: &Rays<'_, D>, noise: &[Noise], windo
         // windows over a corner of the scene have the noise of that corner
         let n_views = rays.view_component.iter().filter(|&&v| v == c as i32).count();
         let is_enough = freedom >= LEAST_TENSION_FREEDOM && 2 * covered.len() > n_views;
-        let floor = |sigma: f64| if sigma.is_nan() { sigma } else { sigma.max(LEAST_NOISE_RAD) };
-        let alone_rad = if is_enough { floor((left / freedom).sqrt()) } else { f64::NAN };
-        Tension { alone_rad, scene_rad: floor(noise[c].sigma_rad) }
+        if is_enough { floor((left / freedom).sqrt()) } else { f64::NAN }
     };
     (0..rays.n_components).map(of_component).collect()
 }
