@@ -331,9 +331,9 @@ def gopromax(folder: Path, images: Path) -> str:
                 The positions are used, and the answers {"(`path.geojson`, `path.gpx`)" if gpx else "(`path.geojson`)"}
                 lie on them to {rms(apart):.2f} m (rms): direction and spacing agree with GPS, to what a receiver of a
                 camera can tell. Here clouds are most of what is seen again; with them left in, our path was bent out of
-                shape (the gate says so), and the peer, which uses them too, makes the first step twice as long. The
-                verdict is weak for the sake of points, most of which are far or ahead; five views see few from the
-                side.
+                shape (the gate says so). The peer uses them too: its steps are off by factors, and not by the same in
+                two runs. The verdict is weak for the sake of points, most of which are far or ahead; five views see few
+                from the side.
                 """
             ),
             picture,
