@@ -6,8 +6,9 @@ which runs on over the seam, and two caps in stereographic projection,
 
     band:  u = theta,  v = ln tan(pi/4 + phi/2)          cap:  (u, v) = 2 tan(alpha / 2) (cos theta, sin theta),
 
-with ``alpha`` the angle from the pole. Together they have fewer pixels than the panorama. Descriptors are 128 bytes,
-the square roots of SIFT's numbers (Arandjelovic and Zisserman, CVPR 2012).
+with ``alpha`` the angle from the pole. Together they have fewer pixels than the panorama. SIFT doubles what it is
+shown, so patches somewhat coarser than the panorama lose noise rather than places. Descriptors are 128 bytes, the
+square roots of SIFT's numbers (Arandjelovic and Zisserman, CVPR 2012).
 """
 
 from __future__ import annotations
@@ -43,12 +44,16 @@ class FeatureOptions:
     max_features: int = 4000
     #: SIFT's threshold of contrast: the lower, the more features in flat regions.
     contrast: float = 0.02
+    #: Pixels of a patch for each pixel of the panorama's horizon, along a line.
+    density: float = 0.7
 
     def __post_init__(self) -> None:
         if isinstance(self.max_features, bool) or not isinstance(self.max_features, int) or self.max_features < 1:
             raise InputError(f"max_features is {self.max_features!r}, expected a whole number of at least 1")
         if not 0.0 < self.contrast < 1.0:
             raise InputError(f"contrast is {self.contrast!r}, expected a number between 0 and 1")
+        if not 0.1 <= self.density <= 2.0:
+            raise InputError(f"density is {self.density!r}, expected a number from 0.1 to 2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +120,7 @@ def extract_features(
         raise InputError(f"mask has shape {over.shape}, expected (h, w)")
     if not equirectangular:
         return _features_of_patches(gray, [_whole(width, height)], over, chosen)
-    return _features_of_patches(gray, list(_patches(width)), over, chosen)
+    return _features_of_patches(gray, list(_patches(width, chosen.density)), over, chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,29 +143,31 @@ def _whole(width: int, height: int) -> _Patch:
 
 
 @functools.lru_cache(maxsize=4)
-def _patches(width: int) -> tuple[_Patch, ...]:
-    return (_band(width), _cap(width, -1.0), _cap(width, 1.0))
+def _patches(width: int, density: float) -> tuple[_Patch, ...]:
+    around = max(round(density * width), 1)
+    return (_band(width, around), _cap(width, around, -1.0), _cap(width, around, 1.0))
 
 
-def _band(width: int) -> _Patch:
-    """Build the horizon; its ends overlap, so that a feature at the seam is whole in one of them."""
-    scale = width / (2.0 * np.pi)
+def _band(width: int, around: int) -> _Patch:
+    """Build the horizon, ``around`` pixels long; its ends overlap, so that a feature at the seam is whole in one."""
+    scale = around / (2.0 * np.pi)
     pad = round(_MARGIN_RAD * scale)
     half = int(np.ceil(_mercator(_CAP_FROM_RAD + _MARGIN_RAD) * scale))
-    u = np.arange(-pad, width + pad)
+    u = np.arange(-pad, around + pad)
     v = np.arange(-half, half + 1) / scale
     phi = 2.0 * np.arctan(np.exp(v)) - np.pi / 2  # downwards, as v
     rows = (phi / np.pi + 0.5) * (width / 2) - 0.5
-    map_x = np.broadcast_to(np.mod(u, width).astype(np.float32), (len(rows), len(u)))
+    columns = np.mod(u * (width / around), width)
+    map_x = np.broadcast_to(columns.astype(np.float32), (len(rows), len(u)))
     map_y = np.broadcast_to(rows.astype(np.float32)[:, None], map_x.shape)
     own = np.zeros(map_x.shape, dtype=np.uint8)
-    own[np.abs(phi) <= _CAP_FROM_RAD, pad : pad + width] = 255
+    own[np.abs(phi) <= _CAP_FROM_RAD, pad : pad + around] = 255
     return _patch((map_x, map_y), own, "band", scale, (float(pad), float(half)))
 
 
-def _cap(width: int, side: float) -> _Patch:
+def _cap(width: int, around: int, side: float) -> _Patch:
     """Build the part about the pole at y = ``side`` of the camera's axes."""
-    scale = width / (2.0 * np.pi)
+    scale = around / (2.0 * np.pi)
     half = int(np.ceil(2.0 * np.tan(0.5 * (np.pi / 2 - _CAP_FROM_RAD + _MARGIN_RAD)) * scale))
     u, v = np.meshgrid(*(np.arange(-half, half + 1) / scale,) * 2)
     bearing = _cap_bearings(np.stack((u.ravel(), v.ravel()), axis=1), side)
@@ -195,7 +202,7 @@ def _pixels_of(patch: _Patch, at: Float, width: int) -> Float:
     uv = (at - patch.origin) / patch.scale
     if patch.kind == "band":
         phi = 2.0 * np.arctan(np.exp(uv[:, 1])) - np.pi / 2
-        x = np.mod(at[:, 0] - patch.origin[0] + 0.5, width)
+        x = np.mod(uv[:, 0] * (width / (2.0 * np.pi)) + 0.5, width)
         return np.stack((x, (phi / np.pi + 0.5) * (width / 2)), axis=1)
     bearing = _cap_bearings(uv, 1.0 if patch.kind == "floor" else -1.0)
     return equirectangular_from_bearings(bearing, width, width // 2)
