@@ -13,7 +13,8 @@ import numpy as np
 import panopath as pp
 from panopath.certificate import Certificate, Mode, OrientationModel, hold_still
 from panopath.certificate_text import percent
-from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Int, Scene, Tracks
 from panopath.report import draw_certificate
 
 from benchmarks.page import table

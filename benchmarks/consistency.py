@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 import panopath as pp
+from panopath.errors import InputError
 from panopath.formats.structure import known_scene
-from panopath.model import Float, InputError, Int, Method, Scene, Tracks
+from panopath.model import Float, Int, Method, Scene, Tracks
 from panopath.synthetic import SyntheticWorld
 
 #: A camera error beyond this many times the optimum is a broken scene.

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import panopath as pp
-from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Int, Scene, Tracks
 
 from benchmarks import pictures
 from benchmarks.page import table

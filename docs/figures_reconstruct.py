@@ -11,8 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from panopath.errors import MissingExtraError
 from panopath.images import encoded, read_image
-from panopath.model import MissingExtraError
 
 _OUT = Path("docs/img/reconstruct")
 #: The top of the page: verdict, numbers, maps, thumbnails.

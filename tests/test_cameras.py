@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from panopath import cameras
-from panopath.model import InputError
+from panopath.errors import InputError
 
 Float = npt.NDArray[np.float64]
 RNG = np.random.default_rng(1)

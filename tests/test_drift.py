@@ -7,12 +7,12 @@ import struct
 import numpy as np
 import numpy.typing as npt
 import pytest
+from panopath.errors import InputError
 from panopath.formats.colmap_model import Camera, cameras_bytes
 from panopath.frontend.drift import drifting_features, drifting_matches, features_beside
 from panopath.frontend.features import Features
 from panopath.frontend.matching import MatchingOptions
 from panopath.frontend.moments import match_moments
-from panopath.model import InputError
 from panopath.steps import TwoViewOptions, TwoViews, relative_poses
 
 Float = npt.NDArray[np.float64]

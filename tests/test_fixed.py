@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from panopath.cameras import bearings_from_equirectangular
-from panopath.model import InputError
+from panopath.errors import InputError
 from panopath.walk import WalkRotation, render_walk
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra images")

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
+from panopath.errors import InputError
 from panopath.mapping import MapOptions, map_database
-from panopath.model import InputError
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra images")
 pytest.importorskip("PIL", reason="needs the extra images")

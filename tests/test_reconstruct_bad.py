@@ -36,12 +36,12 @@ from filmed import (
     write_film,
 )
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
+from panopath.errors import InputError, UndeterminedError
 from panopath.evaluate import evaluate
 from panopath.formats.crops import CropOptions
 from panopath.frontend import read_frames
 from panopath.images import encoded
 from panopath.mapping import MapOptions
-from panopath.model import InputError, UndeterminedError
 from panopath.run import Reconstructed, RunOptions, place, reconstruct
 from panopath.walk import render_walk
 

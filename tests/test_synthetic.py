@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from panopath import _core
-from panopath.model import InputError, Tracks
+from panopath.errors import InputError
+from panopath.model import Tracks
 from panopath.synthetic import SyntheticWorld, WorldName, simulate
 
 WORLDS = get_args(WorldName)

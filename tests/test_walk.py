@@ -10,7 +10,7 @@ import numpy as np
 import panopath as pp
 import pytest
 from panopath import cameras
-from panopath.model import InputError, MissingExtraError
+from panopath.errors import InputError, MissingExtraError
 from panopath.walk import LAP_M, Walk, render_walk
 
 

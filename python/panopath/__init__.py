@@ -10,6 +10,7 @@ from panopath.counting import (
     required_visible_fraction,
     structure_from_motion_inequality,
 )
+from panopath.errors import InputError, MissingExtraError, PanopathError, UndeterminedError
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats import (
     Database,
@@ -27,19 +28,8 @@ from panopath.formats import (
     write_tracks,
 )
 from panopath.mapping import MapOptions, MappedDatabase, map_database
-from panopath.model import (
-    Control,
-    InputError,
-    MissingExtraError,
-    PanopathError,
-    PositionOptions,
-    Problem,
-    Scene,
-    Status,
-    Summary,
-    Tracks,
-    UndeterminedError,
-)
+from panopath.model import Control, PositionOptions, Problem, Scene, Status, Summary, Tracks
+from panopath.paths import Fourier, Motion, PathModel, Paths, PathVerdict, Spline, Static, Taylor
 from panopath.pipeline import ReconstructOptions, ViewOrientations, orient_views, place_views, reconstruct_tracks
 from panopath.priors import DirectionPriors, HeadingPriors, PositionPriors, Priors, Rig, RotationPriors
 from panopath.run import Reconstructed, RunOptions, reconstruct
@@ -51,7 +41,7 @@ from panopath.steps import (
     FullVisibility,
     HeadingOptions,
     Headings,
-    Motion,
+    MeanMotion,
     MotionOptions,
     OrientationOptions,
     Orientations,
@@ -98,6 +88,7 @@ __all__ = [
     "DirectionPriors",
     "Evaluation",
     "FeatureTracks",
+    "Fourier",
     "FullVisibility",
     "HeadingOptions",
     "HeadingPriors",
@@ -105,12 +96,16 @@ __all__ = [
     "InputError",
     "MapOptions",
     "MappedDatabase",
+    "MeanMotion",
     "MissingExtraError",
     "Motion",
     "MotionOptions",
     "OrientationOptions",
     "Orientations",
     "PanopathError",
+    "PathModel",
+    "PathVerdict",
+    "Paths",
     "PositionOptions",
     "PositionPriors",
     "Priors",
@@ -125,10 +120,13 @@ __all__ = [
     "RunOptions",
     "Scene",
     "SceneCovariance",
+    "Spline",
+    "Static",
     "Status",
     "StructureFromMotionInequality",
     "Summary",
     "SyntheticWorld",
+    "Taylor",
     "Tracks",
     "TwoView",
     "TwoViewOptions",

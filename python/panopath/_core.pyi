@@ -29,6 +29,7 @@ __all__ = [
     "matches_that_agree",
     "mean_motion",
     "natural_order",
+    "path_functions",
     "perspective_from_bearings",
     "planar_compass_from_bearings",
     "position_covariance",
@@ -69,6 +70,9 @@ def average_rotations(
     priors: list[tuple[Any, ...]],
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
+def path_functions(
+    model: tuple[str, int, list[float]], time_s: npt.NDArray[np.float64], derivative: int
+) -> npt.NDArray[np.float64]: ...
 def solve_positions(
     observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,

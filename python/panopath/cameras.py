@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError
+from panopath.errors import InputError
+from panopath.model import Bool, Float
 
 
 def bearings_from_spherical(angle_rad: npt.ArrayLike) -> Float:

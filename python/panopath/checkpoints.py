@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import InputError
+from panopath.errors import InputError
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -30,7 +30,7 @@ from enum import StrEnum
 from math import inf, isqrt
 from typing import Literal, NamedTuple, SupportsIndex
 
-from panopath.model import InputError
+from panopath.errors import InputError
 
 #: How a point moves: powers of time up to k, harmonics up to k, or that many functions of any kind (splines).
 PathBasis = Literal["taylor", "fourier"] | int | None

@@ -14,7 +14,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Bool, Float, InputError, Scene, read_only
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Scene, read_only
 
 Alignment = Literal["similarity", "translation_scale", "paper"]
 

@@ -18,8 +18,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.geo import LocalFrame
-from panopath.model import Bool, Float, InputError, Scene, read_only
+from panopath.model import Bool, Float, Scene, read_only
 from panopath.moves import moved_scene
 
 Vertical = Literal["keep", "fit"]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import InputError, MissingExtraError
+from panopath.errors import InputError, MissingExtraError
 
 Picture = npt.NDArray[np.uint8]
 #: Gives the picture of a view by its index, None where there is none.

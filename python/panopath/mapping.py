@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.database import Database
 from panopath.formats.models import Reconstruction
-from panopath.model import Bool, Float, InputError, Int, Scene, Tracks
+from panopath.model import Bool, Float, Int, Scene, Tracks
 from panopath.pipeline import ReconstructOptions, ViewOrientations, averaged, metric_scale, place_views
 from panopath.priors import DirectionPriors, PositionPriors, Priors, Rig
 from panopath.steps import (

@@ -16,6 +16,9 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
+from panopath.paths import Paths
+
 Float = npt.NDArray[np.float64]
 Int = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
@@ -35,22 +38,6 @@ ROTATION_TOLERANCE = 1e-6
 MAX_COUNT = 2**31 - 1
 
 _NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
-
-
-class PanopathError(Exception):
-    """Root of every error panopath raises on purpose; its text is one clear line."""
-
-
-class InputError(PanopathError, ValueError):
-    """The input cannot be used; the text names the file, line or argument and what was expected."""
-
-
-class UndeterminedError(InputError):
-    """The input can be read but shows no scene, such as one of a camera that stands still; the text says why."""
-
-
-class MissingExtraError(InputError):
-    """Something needs a package that the base install leaves out; the text says which extra brings it."""
 
 
 class Status(StrEnum):
@@ -295,6 +282,9 @@ class Scene:
     view_names: tuple[str, ...] | None = None
     #: Names of the tracks; None means that the indices are the names.
     track_names: tuple[str, ...] | None = None
+    #: Paths of the tracks, where the scene was solved with bodies that move; ``points`` then holds where each track was
+    #: in the middle of the time that it was seen.
+    paths: Paths | None = None
 
     def __post_init__(self) -> None:
         for name in ("centers", "points", "residual_rad", "cam_from_world"):
@@ -328,6 +318,8 @@ class Scene:
             names = getattr(self, name)
             if names is not None and len(names) != count:
                 raise InputError(f"{name} has {len(names)} entries, expected {count}")
+        if self.paths is not None and (len(self.paths), self.paths.d) != (n_tracks, self.d):
+            raise InputError(f"paths are {self.paths!r}, expected those of {n_tracks} tracks in {self.d} dimensions")
 
     def __repr__(self) -> str:
         s = self.summary

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Scene, check_orientations
+from panopath.errors import InputError
+from panopath.model import Float, Scene, check_orientations
 
 
 def moved_scene(
@@ -58,4 +59,5 @@ def moved_scene(
         centers=np.where(views[:, None], scale * scene.centers @ turn.T + move, scene.centers),
         points=np.where(points[:, None], scale * scene.points @ turn.T + move, scene.points),
         cam_from_world=rotation,
+        paths=None if scene.paths is None else scene.paths.transformed(scale, turn, move, points),
     )

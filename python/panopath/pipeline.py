@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.model import (
     Bool,
     Control,
     Float,
-    InputError,
     Int,
     PositionOptions,
     Scene,

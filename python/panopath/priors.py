@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Int, check_orientations, read_only
+from panopath.errors import InputError
+from panopath.model import Float, Int, check_orientations, read_only
 
 #: Directions count as unit vectors to within this.
 _UNIT_TOLERANCE = 1e-6

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError, Tracks
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Tracks
 
 WorldName = Literal["box", "street", "room", "corridor", "line", "stop_and_go", "chain", "ellipse", "cylinder", "weak"]
 

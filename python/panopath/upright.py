@@ -17,7 +17,8 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Int, Scene
+from panopath.errors import InputError
+from panopath.model import Float, Int, Scene
 from panopath.moves import moved_scene
 
 #: Camera axes count as agreeing where this share of them lies within ``_AGREE_RAD`` of their median.

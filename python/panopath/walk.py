@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Float, InputError, MissingExtraError
+from panopath.errors import InputError, MissingExtraError
+from panopath.model import Float
 
 Frame = npt.NDArray[np.uint8]
 WalkPath = Literal["straight", "corner", "loop"]

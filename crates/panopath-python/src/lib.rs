@@ -9,6 +9,7 @@ mod descriptors;
 mod headings;
 mod motion;
 mod orientation;
+mod paths;
 mod positions;
 mod refinement;
 mod rigidity;
@@ -29,6 +30,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     descriptors::register(module)?;
     headings::register(module)?;
     motion::register(module)?;
+    paths::register(module)?;
     positions::register(module)?;
     refinement::register(module)?;
     rigidity::register(module)?;

@@ -25,6 +25,7 @@ pub mod least_squares;
 mod lists;
 pub mod motion;
 pub mod orientation;
+pub mod paths;
 pub mod positions;
 pub mod refinement;
 pub mod rigidity;

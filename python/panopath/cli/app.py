@@ -18,7 +18,7 @@ import typer
 from rich.console import Console
 
 from panopath import _core
-from panopath.model import PanopathError, UndeterminedError
+from panopath.errors import PanopathError, UndeterminedError
 
 EXIT_INPUT = 2
 

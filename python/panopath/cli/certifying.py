@@ -23,17 +23,12 @@ from panopath.certificate_text import (
 )
 from panopath.cli.app import Terminal
 from panopath.cli.tables import MOST_ROWS
+from panopath.errors import InputError, MissingExtraError
 from panopath.formats import (
     write_certificate,
     write_scene,
 )
-from panopath.model import (
-    Float,
-    InputError,
-    MissingExtraError,
-    PositionOptions,
-    Scene,
-)
+from panopath.model import Float, PositionOptions, Scene
 from panopath.report import draw_certificate, draw_scene
 from panopath.steps import CertifyOptions, certify
 

@@ -18,19 +18,13 @@ from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Quiet, Terminal
 from panopath.cli.certifying import Drawing, certified, show_certificate, sigma_of, write_checked
 from panopath.cli.evaluate import judged
 from panopath.cli.solve import reconstruct, with_sigma
+from panopath.errors import InputError
 from panopath.formats import (
     read_certificate,
     read_problem,
 )
 from panopath.formats.folder import check_certificate_writable, is_scene_folder
-from panopath.model import (
-    Float,
-    InputError,
-    PositionOptions,
-    Problem,
-    Scene,
-    Status,
-)
+from panopath.model import Float, PositionOptions, Problem, Scene, Status
 from panopath.steps import CertifyOptions, solve_positions
 
 

@@ -13,9 +13,10 @@ from rich.console import Console
 
 from panopath.cli.app import EXIT_UNDETERMINED, AsJson, Overwrite, Quiet, Terminal
 from panopath.cli.reconstruct import plain, progress, run, show
+from panopath.errors import InputError
 from panopath.evaluate import Evaluation, evaluate
 from panopath.formats.files import write_bytes
-from panopath.model import Float, InputError
+from panopath.model import Float
 from panopath.run import Reconstructed, RunOptions
 from panopath.run.job import check_folder
 from panopath.walk import Walk, render_walk

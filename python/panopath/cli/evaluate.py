@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from panopath.cli.app import AsJson, Quiet, Terminal
+from panopath.errors import InputError
 from panopath.evaluate import Alignment, Evaluation, evaluate
 from panopath.formats import (
     read_problem,
@@ -19,10 +20,7 @@ from panopath.formats import (
 )
 from panopath.formats.colmap import find_model
 from panopath.formats.folder import is_scene_folder
-from panopath.model import (
-    InputError,
-    Scene,
-)
+from panopath.model import Scene
 
 
 def evaluate_command(

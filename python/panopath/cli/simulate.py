@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from panopath.cli.app import AsJson, Overwrite, Quiet, Terminal
+from panopath.errors import InputError
 from panopath.formats import (
     write_scene,
     write_tracks,
@@ -21,10 +22,7 @@ from panopath.formats.csv import Form, write_orientations
 from panopath.formats.folder import check_writable
 from panopath.formats.parquet import write_parquet
 from panopath.formats.structure import known_scene
-from panopath.model import (
-    InputError,
-    Tracks,
-)
+from panopath.model import Tracks
 from panopath.synthetic import WorldName, simulate
 
 #: What --set may not set, as an option of its own does.

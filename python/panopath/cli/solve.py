@@ -14,6 +14,7 @@ from panopath.certificate import OrientationModel
 from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
 from panopath.cli.certifying import Drawing, brief, certified, sigma_of, write_folder
 from panopath.cli.tables import show_scene
+from panopath.errors import InputError
 from panopath.formats import (
     read_control,
     read_problem,
@@ -23,7 +24,6 @@ from panopath.formats.folder import check_writable
 from panopath.model import (
     Float,
     Gauge,
-    InputError,
     LinearForm,
     LinearGauge,
     LinearSolver,

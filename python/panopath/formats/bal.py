@@ -12,8 +12,9 @@ import re
 import numpy as np
 
 from panopath import _core
+from panopath.errors import InputError
 from panopath.formats.structure import known_scene
-from panopath.model import Float, InputError, Int, Problem, Tracks
+from panopath.model import Float, Int, Problem, Tracks
 
 _FIRST_LINE = re.compile(rb"\s*(\d+)[ \t]+(\d+)[ \t]+(\d+)[ \t]*\r?\n")
 _CAMERA_NUMBERS = 9

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError, MissingExtraError
 from panopath.formats.colmap_model import (
     EQUIRECTANGULAR_ID,
     NO_POINT,
@@ -29,7 +30,7 @@ from panopath.formats.colmap_model import (
 from panopath.formats.csv import rotation_from_quaternion
 from panopath.formats.files import read_bytes
 from panopath.formats.structure import known_scene
-from panopath.model import Float, InputError, MissingExtraError, Problem, Scene, Tracks
+from panopath.model import Float, Problem, Scene, Tracks
 
 _PARTS = ("cameras", "images", "points3D")
 _PLACES = ("", "sparse/0", "sparse", "0")

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError, MissingExtraError
 from panopath.formats.csv import quaternion_from_rotation
 from panopath.formats.files import replacing
-from panopath.model import Float, InputError, MissingExtraError
+from panopath.model import Float
 
 Index = npt.NDArray[np.int64]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.colmap import equirectangular_pixels
 from panopath.images import ImageSource, Picture, check_panorama
-from panopath.model import Float, InputError, Scene
+from panopath.model import Float, Scene
 
 #: What a point is painted that no picture shows.
 _GREY = 128

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Int, Tracks
+from panopath.errors import InputError
+from panopath.model import Float, Int, Tracks
 
 #: Codes into a list of names.
 NameColumn = tuple[Int, list[str]]

@@ -18,13 +18,14 @@ from typing import Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.colmap_model import Camera, ModelImages, ModelPoints, write_model
 from panopath.formats.colours import ColourSum
 from panopath.formats.files import write_bytes
 from panopath.formats.nerfstudio import Shot, write_transforms
 from panopath.formats.ply import cloud_bytes
 from panopath.images import Images, Picture, check_panorama, encoded, image_source, load_opencv
-from panopath.model import Float, InputError, Scene, Tracks
+from panopath.model import Float, Scene, Tracks
 
 CropKind = Literal["cube", "perspective"]
 #: COLMAP's number of the PINHOLE model: fx, fy, cx, cy.

@@ -17,9 +17,10 @@ from typing import Literal
 import numpy as np
 
 from panopath import _core
+from panopath.errors import InputError
 from panopath.formats import columns
 from panopath.formats.files import check_text, read_bytes, write_bytes
-from panopath.model import Control, Float, InputError, Tracks
+from panopath.model import Control, Float, Tracks
 
 Form = Literal["xyz", "degrees", "radians", "compass"]
 

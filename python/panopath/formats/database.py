@@ -22,9 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
+from panopath.errors import InputError
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera, Rig, Sensor, pycolmap_camera
 from panopath.formats.csv import quaternion_from_rotation, rotation_from_quaternion
-from panopath.model import Bool, Float, InputError, Int, read_only
+from panopath.model import Bool, Float, Int, read_only
 
 Index = npt.NDArray[np.int64]
 

@@ -6,10 +6,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from panopath.errors import InputError
 from panopath.formats import bal, colmap, csv, frames, parquet
 from panopath.formats.files import read_bytes
 from panopath.formats.folder import is_scene_folder, read_scene
-from panopath.model import InputError, Problem, Tracks, check_orientations
+from panopath.model import Problem, Tracks, check_orientations
 
 _KNOWN = "a bearings table (CSV, Parquet, data frame), a BAL file, a COLMAP model folder or a panopath folder"
 

@@ -25,20 +25,12 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.certificate import Certificate
+from panopath.errors import InputError
 from panopath.formats.colmap import write_colmap
 from panopath.formats.csv import quaternion_from_rotation, quoted, table_bytes
 from panopath.formats.ply import check_colours, ply_bytes
 from panopath.formats.tum import tum_text
-from panopath.model import (
-    Float,
-    InputError,
-    PositionOptions,
-    Scene,
-    Status,
-    Summary,
-    Tracks,
-    summary_dict,
-)
+from panopath.model import Float, PositionOptions, Scene, Status, Summary, Tracks, summary_dict
 
 _MARK = "scene.json"
 _CERTIFICATE = "certificate.json"

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
+from panopath.errors import InputError
 from panopath.formats import columns
-from panopath.model import Float, InputError, Tracks
+from panopath.model import Float, Tracks
 
 
 def is_frame(value: object) -> bool:

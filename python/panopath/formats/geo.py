@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.files import read_bytes, write_bytes
-from panopath.model import Float, InputError, Scene, labels, read_only
+from panopath.model import Float, Scene, labels, read_only
 
 #: Semi-major axis in metres and flattening of WGS84 (EPSG 7030).
 _AXIS_M, _FLATTENING = 6378137.0, 1.0 / 298.257223563

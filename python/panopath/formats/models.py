@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.colmap_model import (
     NO_POINT,
     Frames,
@@ -20,7 +21,7 @@ from panopath.formats.colmap_model import (
     write_model,
 )
 from panopath.formats.database import Database
-from panopath.model import Bool, Float, InputError, read_only
+from panopath.model import Bool, Float, read_only
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.files import read_bytes, write_bytes
 from panopath.formats.ply import cloud_bytes
-from panopath.model import Float, InputError, Scene, read_only
+from panopath.model import Float, Scene, read_only
 
 CameraModel = Literal["EQUIRECTANGULAR", "PINHOLE"]
 #: Camera axes from those of OpenGL, and back.

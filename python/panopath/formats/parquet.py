@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from panopath.errors import InputError, MissingExtraError
 from panopath.formats.csv import direction_columns
 from panopath.formats.files import replacing
 from panopath.formats.frames import read_frame
-from panopath.model import InputError, MissingExtraError, Tracks
+from panopath.model import Tracks
 
 MAGIC = b"PAR1"
 

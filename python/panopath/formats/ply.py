@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Scene
+from panopath.errors import InputError
+from panopath.model import Float, Scene
 
 _VERTEX = np.dtype(
     [

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.csv import header_of, read_control
 from panopath.formats.detect import read_problem
 from panopath.formats.files import check_text, read_bytes
 from panopath.formats.folder import is_scene_folder, read_scene
-from panopath.model import Float, InputError, Scene
+from panopath.model import Float, Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Bool, Float, InputError, Scene, Status, Summary, Tracks, check_orientations
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Scene, Status, Summary, Tracks, check_orientations
 
 
 def known_scene(

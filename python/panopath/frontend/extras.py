@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from panopath.model import MissingExtraError
+from panopath.errors import MissingExtraError
 
 
 def opencv() -> Any:

@@ -21,8 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
+from panopath.errors import InputError
 from panopath.frontend.extras import opencv
-from panopath.model import Bool, Float, InputError, read_only
+from panopath.model import Bool, Float, read_only
 
 Gray = npt.NDArray[np.uint8]
 

@@ -24,8 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.frontend.features import Features
-from panopath.model import Bool, Float, InputError, read_only
+from panopath.model import Bool, Float, read_only
 from panopath.steps import (
     MatchOptions,
     MotionGuides,

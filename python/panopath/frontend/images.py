@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.frontend.extras import opencv, pillow
-from panopath.model import Float, InputError
+from panopath.model import Float
 
 Gray = npt.NDArray[np.uint8]
 

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.frontend.drift import drifting_features, drifting_matches, features_beside
 from panopath.frontend.features import Features
-from panopath.model import Bool, Float, InputError, Int, read_only
+from panopath.model import Bool, Float, Int, read_only
 from panopath.steps import (
     FeatureMatches,
     MatchOptions,

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from panopath.cameras import bearings_from_equirectangular, bearings_from_pixels
 from panopath.checkpoints import Checkpoints, key_of
+from panopath.errors import InputError, UndeterminedError
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.database import Database, database_of_features
 from panopath.frontend.extras import opencv
@@ -40,7 +41,7 @@ from panopath.frontend.video import (
     read_frames,
     video_motion,
 )
-from panopath.model import Bool, Float, InputError, Int, UndeterminedError
+from panopath.model import Bool, Float, Int
 
 Index = npt.NDArray[np.int64]
 

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from panopath.cameras import bearings_from_pixels
+from panopath.errors import InputError, MissingExtraError
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.csv import rotation_from_quaternion
 from panopath.frontend.images import ImageHeader, image_files, read_header
 from panopath.frontend.video import VideoHeader, read_video_header
-from panopath.model import Float, InputError, Int, MissingExtraError, read_only
+from panopath.model import Float, Int, read_only
 
 #: Pictures this much off twice as wide as high are panoramas whose last row or column was lost.
 _ASPECT_TOLERANCE = 0.005

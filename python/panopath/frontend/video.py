@@ -21,9 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.cameras import bearings_from_equirectangular
+from panopath.errors import InputError
 from panopath.frontend.extras import opencv, pyav
 from panopath.frontend.images import Gray
-from panopath.model import Bool, Float, InputError, Tracks, read_only
+from panopath.model import Bool, Float, Tracks, read_only
 from panopath.steps import fit_rotations
 
 Index = npt.NDArray[np.int64]

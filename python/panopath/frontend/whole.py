@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from panopath.errors import InputError
 from panopath.frontend.extras import opencv
 from panopath.frontend.images import Gray, read_image
 from panopath.frontend.sources import Source, SourceKind
 from panopath.frontend.video import read_frames
-from panopath.model import Float, InputError
+from panopath.model import Float
 
 _WIDTH, _HEIGHT = 256, 128
 #: Pictures asked, and frames between those of a video.

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.certificate import Cause, CauseKind, Certificate, Mode, hold_still
-from panopath.model import Float, InputError, Int, Scene
+from panopath.errors import InputError
+from panopath.model import Float, Int, Scene
 
 Bool = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]

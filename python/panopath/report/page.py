@@ -25,8 +25,9 @@ import numpy.typing as npt
 from panopath import _core
 from panopath.certificate import Certificate, Verdict
 from panopath.certificate_text import LOOSE_VIEW
+from panopath.errors import InputError
 from panopath.images import Images, ImageSource, encoded, image_source, load_opencv
-from panopath.model import Float, InputError, Scene, Status
+from panopath.model import Float, Scene, Status
 from panopath.report import page_figures as figures
 from panopath.report.pictures import _axes, _in_time_order
 

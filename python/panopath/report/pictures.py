@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, MissingExtraError, Scene
+from panopath.errors import MissingExtraError
+from panopath.model import Float, Scene
 
 #: Parts drawn, the largest first.
 _MOST_PARTS = 4

@@ -25,7 +25,8 @@ from panopath.counting import (
     smallest,
     structure_from_motion_inequality,
 )
-from panopath.model import Float, InputError
+from panopath.errors import InputError
+from panopath.model import Float
 from panopath.report.pictures import _matplotlib
 
 #: Panels side by side.

@@ -21,11 +21,12 @@ import numpy as np
 
 from panopath.certificate import Certificate
 from panopath.checkpoints import Checkpoints
+from panopath.errors import InputError, UndeterminedError
 from panopath.formats.folder import is_scene_folder
 from panopath.frontend import Measured, Source, SourceKind, check_masks, measure, recognise, why_not_whole
 from panopath.frontend.images import positions_of
 from panopath.frontend.stored import Store
-from panopath.model import Float, InputError, Scene, UndeterminedError
+from panopath.model import Float, Scene
 from panopath.run.mapped import Mapped, mapped
 from panopath.run.options import RunOptions
 from panopath.run.outputs import Answer, ImageKeeper, write_outputs

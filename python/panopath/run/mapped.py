@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.checkpoints import key_of
+from panopath.errors import InputError
 from panopath.formats.database import Database
 from panopath.formats.folder import scene_arrays, scene_of_arrays, summary_of
 from panopath.frontend import Measured
 from panopath.frontend.stored import Store
 from panopath.mapping import MapOptions, MappedDatabase, map_database
-from panopath.model import InputError, Scene, summary_dict
+from panopath.model import Scene, summary_dict
 from panopath.pipeline import ViewOrientations
 from panopath.run.options import RunOptions
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from panopath.errors import InputError
 from panopath.formats.crops import CropOptions
 from panopath.frontend import FrontEndOptions
 from panopath.mapping import MapOptions
-from panopath.model import InputError
 from panopath.steps import CertifyOptions
 
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.frontend.images import ImageHeader
 from panopath.georeference import Georeference, georeference, scale_from_baseline
-from panopath.model import Float, InputError, Scene
+from panopath.model import Float, Scene
 from panopath.moves import moved_scene
 from panopath.upright import Up, UpSource, find_up, make_upright
 

@@ -6,7 +6,7 @@ from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.descriptors import FeatureMatches, MatchOptions, MotionGuides, match_features
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
-from panopath.steps.motion import Motion, MotionOptions, fit_rotations, mean_motion
+from panopath.steps.motion import MeanMotion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
     OrientationOptions,
     Orientations,
@@ -35,7 +35,7 @@ __all__ = [
     "HeadingOptions",
     "Headings",
     "MatchOptions",
-    "Motion",
+    "MeanMotion",
     "MotionGuides",
     "MotionOptions",
     "OrientationOptions",

@@ -19,7 +19,8 @@ from panopath.certificate import (
     RigidComponent,
     Verdict,
 )
-from panopath.model import InputError, Int, Scene, Tracks, read_only
+from panopath.errors import InputError
+from panopath.model import Int, Scene, Tracks, read_only
 from panopath.steps.common import call_core, known_views, observations_of
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.refinement import check_scene

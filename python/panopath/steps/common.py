@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from panopath.model import Float, InputError, Int, Scene, Tracks, check_orientations
+from panopath.errors import InputError
+from panopath.model import Float, Int, Scene, Tracks, check_orientations
 
 #: View, track and bearing of each observation, numbers of views and tracks, sigma_rad.
 Observations = tuple[Int, Int, Float, int, int, Float | None]

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from panopath import _core
 from panopath.certificate import Cause
-from panopath.model import Float, InputError
+from panopath.errors import InputError
+from panopath.model import Float
 from panopath.steps.certificate import cause_of
 from panopath.steps.common import call_core
 

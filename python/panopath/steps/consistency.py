@@ -7,7 +7,8 @@ from math import radians
 
 from panopath import _core
 from panopath.certificate import Consistency
-from panopath.model import InputError, Scene, Tracks
+from panopath.errors import InputError
+from panopath.model import Scene, Tracks
 from panopath.steps.common import call_core, known_views, observations_of
 from panopath.steps.refinement import check_scene
 

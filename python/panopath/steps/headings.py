@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError, Int, Status, Tracks, read_only
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Int, Status, Tracks, read_only
 from panopath.steps.common import call_core, observations_of
 
 

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Float, InputError, Int, Scene, Status, Tracks, read_only
+from panopath.errors import InputError
+from panopath.model import Float, Int, Scene, Status, Tracks, read_only
 from panopath.steps.common import call_core, observations_of, orientations_of
 
 Flow = Literal["sphere", "horizon"]
@@ -57,7 +58,7 @@ class MotionOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MeanMotion:
     """Orientations up to one rotation for each chain of views, and the steps they are chained from."""
 
     #: (n_views, 3, 3), or headings (n_views,) in radians for d = 2; NaN where there is none. The first view of a chain
@@ -97,7 +98,7 @@ class Motion:
             return np.asarray(angle / self.interval_s)
 
 
-def mean_motion(tracks: Tracks, options: MotionOptions | None = None) -> Motion:
+def mean_motion(tracks: Tracks, options: MotionOptions | None = None) -> MeanMotion:
     """Orientations from the mean motion field between views that follow each other, d = 2 or 3.
 
     The turn of the camera is the rotation that carries the bearings of one view nearest to those of the next. What
@@ -114,7 +115,7 @@ def mean_motion(tracks: Tracks, options: MotionOptions | None = None) -> Motion:
 
     Returns
     -------
-    Motion
+    MeanMotion
         ``cam_from_world`` can be handed to :func:`panopath.solve_positions` where no entry is NaN.
 
     Raises
@@ -207,6 +208,6 @@ def _core_options(options: MotionOptions, tracks: Tracks) -> dict[str, Any]:
     return plain
 
 
-def _motion(found: Mapping[str, Any]) -> Motion:
+def _motion(found: Mapping[str, Any]) -> MeanMotion:
     arrays = {name: read_only(array) for name, array in found.items() if name != "status"}
-    return Motion(**arrays, status=Status(found["status"]))
+    return MeanMotion(**arrays, status=Status(found["status"]))

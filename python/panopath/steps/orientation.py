@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError, Int, LinearSolver, Status, read_only
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Int, LinearSolver, Status, read_only
 from panopath.priors import Priors
 from panopath.steps.common import call_core
 

@@ -10,18 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import (
-    Control,
-    Float,
-    InputError,
-    Int,
-    PositionOptions,
-    Scene,
-    Status,
-    Summary,
-    Tracks,
-    read_only,
-)
+from panopath.errors import InputError
+from panopath.model import Control, Float, Int, PositionOptions, Scene, Status, Summary, Tracks, read_only
 from panopath.steps.common import call_core, observations_of, orientations_of
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]

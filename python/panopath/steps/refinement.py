@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError, LinearSolver, Scene, Tracks, read_only
+from panopath.errors import InputError
+from panopath.model import Bool, Float, LinearSolver, Scene, Tracks, read_only
 from panopath.priors import Priors, Rig, RotationPriors
 from panopath.steps.common import call_core, observations_of
 from panopath.steps.positions import scene_of

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import Bool, Float, InputError, Int, read_only
+from panopath.errors import InputError
+from panopath.model import Bool, Float, Int, read_only
 from panopath.steps.common import call_core
 
 

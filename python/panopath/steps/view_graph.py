@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
-from panopath.model import InputError, Int, Tracks, read_only
+from panopath.errors import InputError
+from panopath.model import Int, Tracks, read_only
 from panopath.steps.common import call_core, observations_of
 
 

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from panopath.errors import InputError
 from panopath.formats.colmap import find_model
 from panopath.formats.detect import read_problem
 from panopath.formats.folder import is_scene_folder, read_certificate, read_scene
 from panopath.formats.ply import error_colours
 from panopath.images import check_panorama, encoded, load_opencv, read_image
-from panopath.model import Float, InputError, Scene
+from panopath.model import Float, Scene
 from panopath.steps.refinement import RefineOptions, scene_covariance
 from panopath.viewer.shapes import Colours
 

@@ -14,9 +14,10 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from panopath.errors import InputError
 from panopath.formats.csv import quaternion_from_rotation
 from panopath.formats.ply import error_colours
-from panopath.model import Float, InputError
+from panopath.model import Float
 from panopath.viewer.content import Content
 from panopath.viewer.glb import textured
 from panopath.viewer.shapes import (

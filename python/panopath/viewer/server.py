@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from panopath.model import InputError, MissingExtraError
+from panopath.errors import InputError, MissingExtraError
 from panopath.viewer.content import Content, read_content
 from panopath.viewer.layers import Drawing, Ellipsoids, Layer, Pictures, Points, Views, axes, path
 from panopath.viewer.panel import Panel

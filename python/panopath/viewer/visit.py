@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from panopath.model import Float, InputError
+from panopath.errors import InputError
+from panopath.model import Float
 from panopath.viewer.glb import textured
 from panopath.viewer.layers import Drawing, Pictures, add_panorama
 from panopath.viewer.shapes import panorama_sphere
