@@ -78,7 +78,7 @@ class SyntheticWorld:
         return np.asarray(self.body >= 0)
 
     def positions_at(self, time_s: float) -> Float:
-        """True positions ``(n_tracks, d)`` of all points at a time, seen or not; NaN of those that are carried."""
+        """Give the true positions ``(n_tracks, d)`` at a time, seen or not; NaN of what is carried."""
         since_s = (time_s - self.anchor_s)[:, None]
         found = self.points + since_s * self.velocity + 0.5 * since_s**2 * self.acceleration
         found[self.carried] = np.nan
@@ -117,7 +117,7 @@ class SyntheticWorld:
         )
 
     def _seen_s(self) -> Float:
-        """Times ``(n_tracks, 2)`` of the first and the last observation; NaN of a track without one."""
+        """Find the times ``(n_tracks, 2)`` of the first and the last observation; NaN of a track without one."""
         times, track = self.time_s[self.tracks.view], self.tracks.track
         seen_s = np.full((self.tracks.n_tracks, 2), (np.inf, -np.inf))
         np.minimum.at(seen_s[:, 0], track, times)

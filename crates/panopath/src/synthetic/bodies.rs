@@ -21,6 +21,8 @@ const CAR_SPEED_M_S: (f64, f64) = (3.0, 14.0);
 const WALKING_SPEED_M_S: (f64, f64) = (1.0, 2.0);
 /// Rate at which people turn: their acceleration is this times their speed, across their way.
 const TURNING_RAD_S: (f64, f64) = (0.02, 0.08);
+/// They are seen until their velocity has changed by this share, which turns them by 37 degrees.
+const TURNED: f64 = 0.75;
 /// How far to the side a body passes the view that it meets, and how far ahead or behind it is at that time.
 const BESIDE_M: (f64, f64) = (3.0, 9.0);
 const AHEAD_M: f64 = 8.0;
@@ -169,14 +171,16 @@ fn near_views<const D: usize>(
     fewest: usize,
     seen_m: f64,
 ) -> Range<usize> {
-    let is_near = |view: &usize| body.distance(&centers[*view], time_s[*view]) <= seen_m;
+    let is_near = |view: &usize| {
+        let since_s = (time_s[*view] - body.meets_s).abs();
+        let has_turned = since_s * norm(&body.acceleration) > TURNED * norm(&body.velocity);
+        !has_turned && body.distance(&centers[*view], time_s[*view]) <= seen_m
+    };
     let after = (body.meets..centers.len()).take_while(is_near).count();
     let before = (0..body.meets).rev().take_while(is_near).count();
     let (mut start, mut end) = (body.meets - before, body.meets + after);
     while end - start < fewest.min(centers.len()) {
-        if start > 0 {
-            start -= 1;
-        }
+        start = start.saturating_sub(1);
         if end - start < fewest && end < centers.len() {
             end += 1;
         }
