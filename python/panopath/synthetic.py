@@ -52,7 +52,8 @@ class SyntheticWorld:
     cam_from_world: Float
     #: True positions of the views, ``(n_views, d)``.
     centers: Float
-    #: True positions of the points, ``(n_tracks, d)``; of a moving or carried point, where its anchor view saw it.
+    #: True positions of the points, ``(n_tracks, d)``; of what is carried, and of one body, where its anchor view saw it;
+    #: of many bodies, in the middle of the time that each track was seen, as in a solved scene.
     points: Float
     #: Observations that are false directions, or sightings of what the camera carries along or, with one body, of that,
     #: ``(N,)``. Sightings of many bodies are right, and not among them.
@@ -63,12 +64,12 @@ class SyntheticWorld:
     time_s: Float
     #: The body that each track rides on, ``(n_tracks,)``; -1: none.
     body: Int
-    #: Velocities ``(n_tracks, d)`` when the anchor view was taken, units of the world a second; 0 at rest.
+    #: Velocities ``(n_tracks, d)`` at ``point_time_s``, units of the world a second; 0 at rest.
     velocity: Float
     #: Accelerations ``(n_tracks, d)``, which are constant.
     acceleration: Float
-    #: When the anchor view of each track was taken, ``(n_tracks,)``, seconds.
-    anchor_s: Float
+    #: When each point was where ``points`` says, ``(n_tracks,)``, seconds.
+    point_time_s: Float
     #: Tracks that keep their place in the camera, ``(n_tracks,)``: they have no path of their own in the world.
     carried: Bool
 
@@ -79,14 +80,14 @@ class SyntheticWorld:
 
     def positions_at(self, time_s: float) -> Float:
         """Give the true positions ``(n_tracks, d)`` at a time, seen or not; NaN of what is carried."""
-        since_s = (time_s - self.anchor_s)[:, None]
+        since_s = (time_s - self.point_time_s)[:, None]
         found = self.points + since_s * self.velocity + 0.5 * since_s**2 * self.acceleration
         found[self.carried] = np.nan
         return np.asarray(found)
 
     @cached_property
     def paths(self) -> Paths:
-        """True paths of all tracks: rest, or polynomials of order 1 and 2 about the anchor's time, in seconds.
+        """True paths of all tracks: rest, or polynomials of order 1 and 2 about ``point_time_s``, in seconds.
 
         What the camera carries along is not determined. Every track is where it is with certainty: no covariances.
         """
@@ -100,7 +101,7 @@ class SyntheticWorld:
         models: list[PathModel] = [Static()] * len(orders)
         verdicts = [PathVerdict.STATIC] * len(orders)
         for track in moves.tolist():
-            models[track] = Taylor(int(orders[track]), float(self.anchor_s[track]), 1.0)
+            models[track] = Taylor(int(orders[track]), float(self.point_time_s[track]), 1.0)
             verdicts[track] = PathVerdict.MOVING
         for track in np.flatnonzero(self.carried).tolist():
             verdicts[track] = PathVerdict.UNDETERMINED
@@ -253,6 +254,6 @@ def _as_world(arrays: dict[str, Any]) -> SyntheticWorld:
         body=arrays["body"],
         velocity=arrays["velocity"],
         acceleration=arrays["acceleration"],
-        anchor_s=arrays["anchor_s"],
+        point_time_s=arrays["point_time_s"],
         carried=arrays["carried"],
     )

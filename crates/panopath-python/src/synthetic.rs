@@ -164,7 +164,7 @@ fn to_dict<'py, const D: usize>(
     dict.set_item("velocity", rows(py, &velocity))?;
     dict.set_item("acceleration", rows(py, &acceleration))?;
     dict.set_item("carried", carried.into_pyarray(py))?;
-    dict.set_item("anchor_s", world.anchor_s.into_pyarray(py))?;
+    dict.set_item("point_time_s", world.point_time_s.into_pyarray(py))?;
     dict.set_item("outlier", world.outlier.into_pyarray(py))?;
     dict.set_item("time_s", world.time_s.into_pyarray(py))?;
     dict.set_item("noise_rad", world.noise_rad)?;

@@ -28,12 +28,13 @@ pub struct World<const D: usize = 3> {
     pub cam_from_world: Vec<Rotation<D>>,
     /// True position of each view.
     pub centers: Vec<Vector<D>>,
-    /// True position of each track's point; of a moving or carried one, where its anchor view saw it.
+    /// True position of each track's point; of a carried one and of the one body's, where its anchor view saw it; of one
+    /// of many bodies', in the middle of the time that it was seen.
     pub points: Vec<Vector<D>>,
     /// What each track's point does while the views are taken.
     pub motion: Vec<Motion<D>>,
-    /// When the anchor view of each track was taken, which is when its point was where `points` says.
-    pub anchor_s: Vec<f64>,
+    /// When each track's point was where `points` says.
+    pub point_time_s: Vec<f64>,
     /// Per observation: a false direction, or the sighting of something that is carried with the camera or, with one
     /// body, of that. Sightings of many bodies are right.
     pub outlier: Vec<bool>,
@@ -48,11 +49,11 @@ pub struct World<const D: usize = 3> {
 pub enum Motion<const D: usize> {
     /// It stays where it is.
     Still,
-    /// `point + velocity s + acceleration s^2 / 2`, `s` the time since the anchor view was taken.
+    /// `point + velocity s + acceleration s^2 / 2`, `s` the time since `point_time_s`.
     Moves {
         /// The body it rides on.
         body: u32,
-        /// Velocity when the anchor view was taken.
+        /// Velocity at `point_time_s`.
         velocity: Vector<D>,
         /// Constant acceleration.
         acceleration: Vector<D>,

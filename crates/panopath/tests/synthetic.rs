@@ -344,7 +344,7 @@ fn velocity_on_ray(point: &Vector<3>, center: &Vector<3>, ray: &Vector<3>, elaps
 
 /// Where each track's point is at a time, by what the world says of its motion.
 fn position_at<const D: usize>(world: &World<D>, track: usize, time_s: f64) -> Vector<D> {
-    let since_s = time_s - world.anchor_s[track];
+    let since_s = time_s - world.point_time_s[track];
     match world.motion[track] {
         Motion::Moves { velocity, acceleration, .. } => std::array::from_fn(|c| {
             world.points[track][c] + since_s * velocity[c] + 0.5 * since_s * since_s * acceleration[c]

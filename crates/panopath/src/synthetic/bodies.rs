@@ -65,11 +65,11 @@ impl<const D: usize> Body<D> {
 
 /// One track on a body.
 pub(super) struct Ride<const D: usize> {
-    /// Where the anchor view sees it.
-    pub point: Vector<D>,
-    pub anchor: usize,
     /// The views that see it.
     pub views: Range<usize>,
+    /// The middle of the time that it is seen, and where it is then.
+    pub time_s: f64,
+    pub point: Vector<D>,
     pub motion: Motion<D>,
 }
 
@@ -102,14 +102,14 @@ impl<'a, const D: usize> Traffic<'a, D> {
         let room = body.near.len().min(most);
         let count = (fewest + ((room + 1 - fewest) as f64 * share) as usize).min(room);
         let start = anchor.saturating_sub(count / 2).clamp(body.near.start, body.near.end - count);
-        let since_s = self.time_s[anchor] - body.meets_s;
-        let middle = add(&body.position, &body.displacement(self.time_s[anchor]));
+        let time_s = 0.5 * (self.time_s[start] + self.time_s[start + count - 1]);
+        let middle = add(&body.position, &body.displacement(time_s));
         let motion = Motion::Moves {
             body: which as u32,
-            velocity: add(&body.velocity, &scale(since_s, &body.acceleration)),
+            velocity: add(&body.velocity, &scale(time_s - body.meets_s, &body.acceleration)),
             acceleration: body.acceleration,
         };
-        Ride { point: add(&middle, &facing(&body.forward, within)), anchor, views: start..start + count, motion }
+        Ride { views: start..start + count, time_s, point: add(&middle, &facing(&body.forward, within)), motion }
     }
 }
 

@@ -1,7 +1,6 @@
 //! What the views of a scene measure: orientation, motion, noise and outliers on top of exact directions.
 
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
-use std::ops::Range;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -49,7 +48,8 @@ pub(super) fn measure<const D: usize>(
     let time_s: Vec<f64> = (0..o.n_views).map(|view| view as f64 * o.frame_interval_s).collect();
     let cam_from_world = true_orientations::<D>(o);
     send_to_infinity(&mut layout, o);
-    let motion = set_in_motion(kind, &mut layout, &cam_from_world, &time_s, o);
+    let mut point_time_s: Vec<f64> = layout.anchor.iter().map(|&view| time_s[view as usize]).collect();
+    let motion = set_in_motion(kind, &mut layout, &mut point_time_s, &cam_from_world, &time_s, o);
     // one body is a disturbance of a world at rest; many are what is to be found
     let is_false = |motion: &Motion<D>| match motion {
         Motion::Still => false,
@@ -69,7 +69,7 @@ pub(super) fn measure<const D: usize>(
             let seen = match motion {
                 Motion::Carried(in_camera) => *in_camera,
                 Motion::Moves { velocity, acceleration, .. } => {
-                    let elapsed_s = time_s[i] - time_s[layout.anchor[j] as usize];
+                    let elapsed_s = time_s[i] - point_time_s[j];
                     let on_a_line = add(&layout.points[j], &scale(elapsed_s, velocity));
                     let position = add(&on_a_line, &scale(0.5 * elapsed_s * elapsed_s, acceleration));
                     cam_from_world[i].apply(&sub(&position, &layout.centers[i]))
@@ -94,11 +94,10 @@ pub(super) fn measure<const D: usize>(
             outlier.push(is_outlier);
         }
     }
-    let anchor_s = layout.anchor.iter().map(|&view| time_s[view as usize]).collect();
     let Layout { centers, points, seen: view, .. } = layout;
     let tracks = Tracks::new(view, track, bearing, None, o.n_views, o.n_points)?;
     let cam_from_world = with_error(cam_from_world, o);
-    Ok(World { tracks, cam_from_world, centers, points, motion, anchor_s, outlier, time_s, noise_rad: o.noise_rad })
+    Ok(World { tracks, cam_from_world, centers, points, motion, point_time_s, outlier, time_s, noise_rad: o.noise_rad })
 }
 
 /// Moves chosen points outwards along the ray of their anchor view.
@@ -114,10 +113,11 @@ fn send_to_infinity<const D: usize>(layout: &mut Layout<D>, o: &WorldOptions) {
     }
 }
 
-/// Chooses which tracks move, brings them near, and records where their anchor view saw them.
+/// Chooses which tracks move, brings them near, and records where and when their anchor view saw them.
 fn set_in_motion<const D: usize>(
     kind: WorldKind,
     layout: &mut Layout<D>,
+    point_time_s: &mut [f64],
     cam_from_world: &[Rotation<D>],
     time_s: &[f64],
     o: &WorldOptions,
@@ -128,13 +128,14 @@ fn set_in_motion<const D: usize>(
     let carried = |draw: f64| draw >= 1.0 - o.operator_fraction;
     let mut traffic = (o.n_bodies > 1).then(|| Traffic::new(kind, o, &layout.centers, time_s));
     let mut views = vec![None; layout.points.len()];
-    let mut place = |((point, anchor), views): ((&mut Vector<D>, &mut u32), &mut Option<Range<usize>>)| {
+    let mut place = |j: usize| {
+        let (point, anchor) = (&mut layout.points[j], layout.anchor[j] as usize);
         let (draw, share) = (rng.random::<f64>(), rng.random::<f64>());
         let operator = below_the_camera(&mut rng);
-        let center = &layout.centers[*anchor as usize];
+        let center = &layout.centers[anchor];
         let ride = traffic.as_mut().map(Traffic::ride);
         if let (true, Some(ride)) = (moves(draw), ride) {
-            (*point, *anchor, *views) = (ride.point, ride.anchor as u32, Some(ride.views));
+            (*point, point_time_s[j], views[j]) = (ride.point, ride.time_s, Some(ride.views));
             ride.motion
         } else if moves(draw) {
             let ray = sub(point, center);
@@ -144,14 +145,13 @@ fn set_in_motion<const D: usize>(
             Motion::Moves { body: 0, velocity, acceleration: [0.0; D] }
         } else if carried(draw) {
             let in_camera = scale(log_uniform(OPERATOR_M, share), &operator);
-            *point = add(center, &cam_from_world[*anchor as usize].inverse().apply(&in_camera));
+            *point = add(center, &cam_from_world[anchor].inverse().apply(&in_camera));
             Motion::Carried(in_camera)
         } else {
             Motion::Still
         }
     };
-    let tracks = layout.points.iter_mut().zip(&mut layout.anchor).zip(&mut views);
-    let motion = tracks.map(&mut place).collect();
+    let motion = (0..o.n_points).map(&mut place).collect();
     if o.n_bodies > 1 {
         layout.see_again(&views);
     }
