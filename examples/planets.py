@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -79,7 +79,7 @@ def observe(noise_rad: float, seed: int = 0) -> tuple[pp.Tracks, Float]:
 
 def solve(tracks: pp.Tracks, *, periods_known: bool) -> pp.Scene:
     """Paths of the Earth (the views) and of the planets, the Sun at rest."""
-    forms = {
+    forms: dict[str | int, pp.PathModel | Literal["auto"]] = {
         name: pp.Fourier(planet.order, 2.0 * np.pi / (planet.period_d * DAY_S) if periods_known else None)
         for name, planet in PLANETS.items()
     }

@@ -52,7 +52,7 @@ class SyntheticWorld:
     cam_from_world: Float
     #: True positions of the views, ``(n_views, d)``.
     centers: Float
-    #: True positions of the points, ``(n_tracks, d)``; of what is carried, and of one body, where its anchor view saw it;
+    #: True positions of the points, ``(n_tracks, d)``; of what is carried, and of one body, where its anchor saw it;
     #: of many bodies, in the middle of the time that each track was seen, as in a solved scene.
     points: Float
     #: Observations that are false directions, or sightings of what the camera carries along or, with one body, of that,
