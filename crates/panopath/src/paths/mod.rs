@@ -145,6 +145,15 @@ impl<'a, const D: usize> Input<'a, D> {
         &self.observation[self.start[track] as usize..self.start[track + 1] as usize]
     }
 
+    /// Direction of an observation in the world, orientations as given.
+    fn world_direction(&self, o: u32) -> Vector<D> {
+        let bearing = &self.tracks.bearing()[o as usize];
+        match self.cam_from_world {
+            Some(rotations) => rotations[self.tracks.view()[o as usize] as usize].inverse().apply(bearing),
+            None => *bearing,
+        }
+    }
+
     fn is_given_moving(&self, track: usize) -> bool {
         self.motion.forms[track].as_ref().is_some_and(|form| form.len() > 1)
     }
@@ -181,6 +190,8 @@ impl<'a, const D: usize> Input<'a, D> {
         let Some((tracks, rows)) = self.tracks_where(keep)? else { return Ok(None) };
         let options = PositionOptions {
             gauge: Gauge::Normalized,
+            // bodies that pass close by would bend the cameras that they are to be told by
+            even_start: self.motion.forms.contains(&None),
             start: start.map(|s| (s.centers.clone(), s.points.clone())),
             ..self.options.clone()
         };
@@ -217,12 +228,8 @@ impl<'a, const D: usize> Input<'a, D> {
         let rows: Vec<u32> = self.observations(track).iter().copied().filter(belongs).collect();
         let mut sightings = Sightings::default();
         for &o in &rows {
-            let mut ray = self.bearing[o as usize];
-            if let Some(rotations) = self.cam_from_world {
-                let precision = ray.0[3];
-                ray = Lanes::from_vector::<D>(&rotations[view(o)].inverse().apply(&ray.vector::<D>()));
-                ray.0[3] = precision;
-            }
+            let mut ray = Lanes::from_vector::<D>(&self.world_direction(o));
+            ray.0[3] = self.bearing[o as usize].0[3];
             sightings.rays.push(ray);
             sightings.centers.push(Lanes::from_vector::<D>(&structure.centers[view(o)]));
             sightings.time_s.push(self.time_s[view(o)]);
@@ -238,7 +245,10 @@ impl<'a, const D: usize> Input<'a, D> {
             match &self.motion.forms[track] {
                 _ if sightings.len() < 2 => None,
                 Some(form) => fit::<D>(&sightings, form, sigma),
-                None => select::choose::<D>(&sightings, &self.motion.candidates, sigma),
+                None => {
+                    let at_rest = Lanes::from_vector::<D>(&structure.points[track]);
+                    select::choose::<D>(&sightings, &self.motion.candidates, sigma, at_rest)
+                }
             }
         };
         (0..self.tracks.n_tracks()).into_par_iter().with_min_len(64).map(path).collect()
@@ -351,7 +361,11 @@ impl<'a, const D: usize> Input<'a, D> {
         let structure = &found.structure;
         let path = |&t: &usize| {
             let (sightings, _) = self.sightings_turned(structure, t);
-            if sightings.len() < 2 { None } else { select::choose::<D>(&sightings, &self.motion.candidates, sigma) }
+            if sightings.len() < 2 {
+                return None;
+            }
+            let at_rest = Lanes::from_vector::<D>(&structure.points[t]);
+            select::choose::<D>(&sightings, &self.motion.candidates, sigma, at_rest)
         };
         let fits: Vec<Option<Fit>> = again.par_iter().with_min_len(16).map(path).collect();
         for (t, fit) in again.into_iter().zip(fits) {

@@ -5,7 +5,8 @@
 //! thousand tracks at rest few may be called moving.
 
 use super::basis::Form;
-use super::track::{Fit, Sightings, fit, has_spare};
+use super::track::{Fit, Sightings, fit, fit_near, has_spare};
+use crate::bundle::part::Lanes;
 
 /// Standard deviations of a normal variable that a gain by chance stays below, for leaving rest.
 const MOVES_Z: f64 = 4.0;
@@ -16,14 +17,24 @@ const AT_REST_SHARE: f64 = 0.6;
 const LEAST_SHARE: f64 = 0.5;
 
 /// The path that a track shows among rest and the candidates; `None` where nothing agrees with most of its observations.
-pub(super) fn choose<const D: usize>(sightings: &Sightings, candidates: &[Form], sigma: f64) -> Option<Fit> {
+///
+/// `at_rest` is where the point would be if it were at rest, as far as that is known.
+pub(super) fn choose<const D: usize>(
+    sightings: &Sightings,
+    candidates: &[Form],
+    sigma: f64,
+    at_rest: Lanes,
+) -> Option<Fit> {
     let rows = ((D - 1) * sightings.len()) as f64;
     let agrees = |fit: &Fit, share: f64| fit.n_kept() as f64 >= share * sightings.len() as f64;
+    let rests =
+        |still: &Fit| agrees(still, AT_REST_SHARE) && inlier_cost(still) <= chi_squared(freedom::<D>(still), AT_REST_Z);
+    let near = fit_near::<D>(sightings, &Form::Static, sigma, vec![at_rest]);
+    if let Some(still) = near.filter(rests) {
+        return Some(still);
+    }
     let still = fit::<D>(sightings, &Form::Static, sigma);
-    if let Some(still) = &still
-        && agrees(still, AT_REST_SHARE)
-        && inlier_cost(still) <= chi_squared(freedom::<D>(still), AT_REST_Z)
-    {
+    if let Some(still) = still.as_ref().filter(|still| rests(still)) {
         return Some(still.clone());
     }
     let score = |fit: &Fit| fit.cost + (D * fit.form.len()) as f64 * rows.ln();

@@ -5,6 +5,7 @@
 //! the chord.
 
 use super::basis::Form;
+use super::select::chi_squared;
 use crate::bundle::courses::CourseSystem;
 use crate::bundle::estimate::weighted_ray;
 use crate::bundle::newton::{chord_model, huber_cost};
@@ -20,6 +21,10 @@ const SCALE_OVER_MEDIAN: f64 = 2.0;
 const STEPS: usize = 8;
 /// A step that lowers the cost by less than this, in units of sigma squared, is the last.
 const LITTLE_GAIN: f64 = 1e-3;
+/// Where a fit to all observations errs by more than noise does, fits to so many subsets of this share are tried.
+const SUBSETS: usize = 8;
+const SUBSET_SHARE: f64 = 0.55;
+const SUBSETS_Z: f64 = 2.3;
 /// Observations beyond those that the unknowns take, so that a fit says anything.
 const SPARE_ROWS: usize = 2;
 
@@ -74,22 +79,78 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
     let n = sightings.len();
     let (first, last) = sightings.span();
     let form = form.over(first, last);
-    let unknowns = D * form.len();
-    if (D - 1) * n < unknowns {
+    let needed = (D * form.len()).div_ceil(D - 1);
+    if n < needed {
         return None;
     }
     let values = sightings.values(&form);
     let course = Course { n_functions: form.len(), values: &values, bends: None };
     let mut system = CourseSystem::default();
-    let vectors = reweighted::<D>(sightings, course, sigma, &mut system)?;
-    let mut found = Fit { vectors, keep: vec![true; n], cost: f64::INFINITY, form: form.clone() };
-    // twice: outliers are told better from the minimum
-    for _ in 0..2 {
-        found.keep = kept::<D>(sightings, course, &found.vectors, OUTLIER_SIGMAS * sigma);
+    let cost = |vectors: &[Lanes]| truncated_cost::<D>(sightings, course, vectors, sigma);
+    let everything = vec![1.0; n];
+    let mut best = reweighted::<D>(sightings, course, sigma, everything, &mut system).map(|v| (cost(&v), v));
+    let fine = chi_squared(((D - 1) * n - D * form.len().min((D - 1) * n / D)) as f64, SUBSETS_Z);
+    if best.as_ref().is_none_or(|(cost, _)| *cost > fine) {
+        // false rays may have drawn it away: some subset is free of them
+        let size = (needed + 1).max((SUBSET_SHARE * n as f64).ceil() as usize).min(n);
+        for subset in 0..SUBSETS {
+            let Some(vectors) = linear::<D>(sightings, course, &subset_weights(n, size, subset), &mut system) else {
+                continue;
+            };
+            let reached = cost(&vectors);
+            if best.as_ref().is_none_or(|(least, _)| reached < *least) {
+                best = Some((reached, vectors));
+            }
+        }
+    }
+    let (_, vectors) = best?;
+    settled::<D>(sightings, form, course, vectors, sigma, &mut system)
+}
+
+/// Fits a path of a form from vectors that are near.
+pub(super) fn fit_near<const D: usize>(
+    sightings: &Sightings,
+    form: &Form,
+    sigma: f64,
+    vectors: Vec<Lanes>,
+) -> Option<Fit> {
+    if vectors.iter().any(|p| p.0.iter().any(|x| !x.is_finite())) {
+        return None;
+    }
+    let values = sightings.values(form);
+    let course = Course { n_functions: form.len(), values: &values, bends: None };
+    settled::<D>(sightings, form.clone(), course, vectors, sigma, &mut CourseSystem::default())
+}
+
+/// Ones for some of the observations, spread over the track in a way of its own for each subset.
+fn subset_weights(n: usize, size: usize, subset: usize) -> Vec<f64> {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let mut order: Vec<(f64, usize)> =
+        (0..n).map(|k| (((k + 1) as f64 * (subset + 1) as f64 * GOLDEN).fract(), k)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut weights = vec![0.0; n];
+    order[..size].iter().for_each(|&(_, k)| weights[k] = 1.0);
+    weights
+}
+
+/// The minimum near some vectors, and what agrees with it.
+fn settled<const D: usize>(
+    sightings: &Sightings,
+    form: Form,
+    course: Course<'_>,
+    vectors: Vec<Lanes>,
+    sigma: f64,
+    system: &mut CourseSystem,
+) -> Option<Fit> {
+    let unknowns = D * form.len();
+    let mut found = Fit { vectors, keep: vec![true; sightings.len()], cost: f64::INFINITY, form };
+    // outliers are told better from the minimum, at first within a wider limit
+    for limit in [2.0 * OUTLIER_SIGMAS, OUTLIER_SIGMAS] {
+        found.keep = kept::<D>(sightings, course, &found.vectors, limit * sigma);
         if (D - 1) * found.n_kept() < unknowns {
             return None;
         }
-        descend::<D>(sightings, course, sigma, &mut found, &mut system);
+        descend::<D>(sightings, course, sigma, &mut found, system);
     }
     found.keep = kept::<D>(sightings, course, &found.vectors, OUTLIER_SIGMAS * sigma);
     found.cost = truncated_cost::<D>(sightings, course, &found.vectors, sigma);
@@ -106,9 +167,9 @@ fn reweighted<const D: usize>(
     sightings: &Sightings,
     course: Course<'_>,
     sigma: f64,
+    mut weights: Vec<f64>,
     system: &mut CourseSystem,
 ) -> Option<Vec<Lanes>> {
-    let mut weights = vec![1.0; sightings.len()];
     let mut vectors = linear::<D>(sightings, course, &weights, system)?;
     let mut before = f64::INFINITY;
     for _ in 0..ROUNDS {

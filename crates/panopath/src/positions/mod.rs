@@ -245,7 +245,10 @@ impl<const D: usize> Answer<D> {
         }
         let start = options.start.as_ref().and_then(|(centers, points)| members.start(&part, centers, points));
         let solution = match options.method {
-            Method::Robust => robust::solve_part(&part, start, options.linear_solver, options.max_iterations, timings)?,
+            Method::Robust => {
+                let (solver, most) = (options.linear_solver, options.max_iterations);
+                robust::solve_part(&part, start, solver, most, options.even_start, timings)?
+            }
             Method::Linear { form, gauge } => robust::solve_part_linearly(&part, form, gauge, timings)?,
         };
         self.write(rays, &part, &members, &solution);

@@ -81,6 +81,9 @@ pub struct PositionOptions<const D: usize> {
     pub split_parts: bool,
     /// Gauss-Newton iterations of one round. Default: 50.
     pub max_iterations: usize,
+    /// Do near points weigh no more in the start than those in the middle? A body that comes towards the camera looks near,
+    /// and would have the first word. Default: no.
+    pub even_start: bool,
     /// Centres and points to start from, in place of the linear start. Default: none.
     pub start: Option<(Vec<Vector<D>>, Vec<Vector<D>>)>,
 }
@@ -93,6 +96,7 @@ impl<const D: usize> Default for PositionOptions<D> {
             linear_solver: LinearSolver::default(),
             split_parts: true,
             max_iterations: 50,
+            even_start: false,
             start: None,
         }
     }

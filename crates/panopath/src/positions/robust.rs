@@ -50,9 +50,10 @@ pub(super) fn solve_part<const D: usize>(
     start: Option<Estimate>,
     solver: LinearSolver,
     max_iterations: usize,
+    even_start: bool,
     timings: &mut Timings,
 ) -> Result<PartSolution, LeastSquaresError> {
-    match solve_regular_part(part, start, solver, max_iterations, timings) {
+    match solve_regular_part(part, start, solver, max_iterations, even_start, timings) {
         Err(LeastSquaresError::Singular { .. }) => Ok(PartSolution::nothing(part)),
         other => other,
     }
@@ -63,6 +64,7 @@ fn solve_regular_part<const D: usize>(
     start: Option<Estimate>,
     solver: LinearSolver,
     max_iterations: usize,
+    even_start: bool,
     timings: &mut Timings,
 ) -> Result<PartSolution, LeastSquaresError> {
     let clock = Instant::now();
@@ -76,7 +78,7 @@ fn solve_regular_part<const D: usize>(
             scale_to_unit(&mut estimate);
             Start { estimate, steps: 0 }
         }
-        None => robust_start(part, &mut system)?,
+        None => robust_start(part, &mut system, even_start)?,
     };
     timings.start_s += clock.elapsed().as_secs_f64();
 

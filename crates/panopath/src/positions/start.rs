@@ -47,6 +47,8 @@ struct RobustWeights<'a, const D: usize> {
     part: &'a Part<D>,
     estimate: &'a Estimate,
     inverse_scale_squared: f64,
+    /// Points nearer than this weigh no more than at this distance.
+    nearest: f64,
 }
 
 impl<const D: usize> Weighing<D> for RobustWeights<'_, D> {
@@ -56,6 +58,7 @@ impl<const D: usize> Weighing<D> for RobustWeights<'_, D> {
         let center = &self.estimate.centers[self.part.view[o] as usize];
         let (chord, reciprocal) = squared_chord::<D>(ray, &self.estimate.points[j], center);
         let root = 1.0 / (1.0 + ray.0[3] * chord * self.inverse_scale_squared);
+        let reciprocal = reciprocal.min(1.0 / self.nearest);
         let omega = root * root * reciprocal;
         weighted_ray(ray, omega * reciprocal, omega)
     }
@@ -187,9 +190,19 @@ pub(super) struct Start {
 pub(super) fn robust_start<const D: usize>(
     part: &Part<D>,
     system: &mut PositionSystem<D>,
+    even: bool,
 ) -> Result<Start, LeastSquaresError> {
     let estimate = linear_step(part, system, &parallax_weights(part))?;
-    reweighted(part, system, estimate)
+    reweighted(part, system, estimate, even)
+}
+
+/// Middle one of the distances of all points from their first views.
+fn middle_distance<const D: usize>(part: &Part<D>, estimate: &Estimate) -> f64 {
+    let distance = |j: usize| {
+        let u = estimate.points[j].minus(&estimate.centers[part.view[part.start[j] as usize] as usize]);
+        u.dot::<D>(&u).sqrt()
+    };
+    median(&mut (0..part.n_tracks()).map(distance).collect::<Vec<f64>>())
 }
 
 /// Weights of a single linear step.
@@ -215,6 +228,7 @@ fn reweighted<const D: usize>(
     part: &Part<D>,
     system: &mut PositionSystem<D>,
     mut estimate: Estimate,
+    even: bool,
 ) -> Result<Start, LeastSquaresError> {
     let mut previous = f64::INFINITY;
     for round in 1..=MAX_ROUNDS {
@@ -223,7 +237,9 @@ fn reweighted<const D: usize>(
             return Ok(Start { estimate, steps: round });
         }
         previous = scale;
-        let weights = RobustWeights { part, estimate: &estimate, inverse_scale_squared: 1.0 / (scale * scale) };
+        let nearest = if even { middle_distance(part, &estimate) } else { f64::MIN_POSITIVE };
+        let weights =
+            RobustWeights { part, estimate: &estimate, inverse_scale_squared: 1.0 / (scale * scale), nearest };
         estimate = linear_step(part, system, &weights)?;
     }
     Ok(Start { estimate, steps: MAX_ROUNDS + 1 })
