@@ -39,8 +39,11 @@ use frame::{Frame, Member};
 use joint::{CourseWeights, Settled, settle};
 use track::{Fit, Sightings, fit};
 
-/// Rounds of choosing and solving in turns.
-const ROUNDS: usize = 5;
+/// Rounds of choosing and solving in turns, at most, and the share of all tracks by which a choice that stays may differ.
+const ROUNDS: usize = 4;
+const STAYS: f64 = 1e-2;
+/// Observations a view needs of those tracks that the first cameras are found from.
+const ENOUGH_FOR_A_START: usize = 150;
 
 /// Finds cameras, points at rest and paths.
 ///
@@ -205,8 +208,22 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// Cameras from the tracks that are or may be at rest; `None` where these do not tell of all views.
-    fn cameras_of_tracks_at_rest(&self) -> Result<Option<Structure<D>>, PathError> {
+    ///
+    /// Where some of the tracks are enough for that, the others are left out: true is told with the second element.
+    fn cameras_of_tracks_at_rest(&self) -> Result<Option<(Structure<D>, bool)>, PathError> {
         let may_rest = |t: usize| !self.is_given_moving(t);
+        let stride = self.tracks.len() / (ENOUGH_FOR_A_START * self.tracks.n_views()).max(1);
+        if stride > 1 && self.options.start.is_none() && self.motion.forms.contains(&None) {
+            let first = self.whole_cameras(|t| may_rest(t) && t.is_multiple_of(stride))?;
+            if first.is_some() {
+                return Ok(first.map(|structure| (structure, true)));
+            }
+        }
+        Ok(self.whole_cameras(may_rest)?.map(|structure| (structure, false)))
+    }
+
+    /// Cameras from some tracks; `None` where these do not tell of all views.
+    fn whole_cameras(&self, may_rest: impl Fn(usize) -> bool) -> Result<Option<Structure<D>>, PathError> {
         let start = self.options.start.as_ref().map(|(centers, points)| (centers.clone(), points.clone()));
         let given = start.map(|(centers, points)| Structure { centers, points, ..nothing(self.tracks) });
         let Some(structure) = self.solve_at_rest(may_rest, given.as_ref())? else { return Ok(None) };
@@ -238,7 +255,7 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// Path of each track with the cameras as they are.
-    fn choose(&self, structure: &Structure<D>) -> Vec<Option<Fit>> {
+    fn choose(&self, structure: &Structure<D>, before: &[Option<Fit>]) -> Vec<Option<Fit>> {
         let sigma = structure.summary.sigma_rad.max(SIGMA_FLOOR_RAD);
         let path = |track: usize| {
             let (sightings, _) = self.sightings(structure, track);
@@ -247,7 +264,13 @@ impl<'a, const D: usize> Input<'a, D> {
                 Some(form) => fit::<D>(&sightings, form, sigma),
                 None => {
                     let at_rest = Lanes::from_vector::<D>(&structure.points[track]);
-                    select::choose::<D>(&sightings, &self.motion.candidates, sigma, at_rest)
+                    select::choose::<D>(
+                        &sightings,
+                        &self.motion.candidates,
+                        sigma,
+                        at_rest,
+                        before.get(track).and_then(Option::as_ref),
+                    )
                 }
             }
         };
@@ -255,25 +278,28 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// Tells rest from motion and solves for the cameras in turns, until the choice stays.
-    fn choose_in_turns(&self, mut structure: Structure<D>) -> Result<Found<D>, PathError> {
+    fn choose_in_turns(&self, (mut structure, mut is_thinned): (Structure<D>, bool)) -> Result<Found<D>, PathError> {
         let may_rest: Vec<bool> = (0..self.tracks.n_tracks()).map(|t| !self.is_given_moving(t)).collect();
         let mut resting = may_rest.clone();
-        let mut fits = self.choose(&structure);
+        let mut fits = self.choose(&structure, &[]);
         for _ in 0..ROUNDS {
             let rests = |(t, fit): (usize, &Option<Fit>)| {
                 let known = matches!(self.motion.forms[t], Some(Form::Static));
                 may_rest[t] && (known || fit.as_ref().is_some_and(|fit| fit.form.len() == 1))
             };
             let now: Vec<bool> = fits.iter().enumerate().map(rests).collect();
-            if now == resting {
+            let changed = now.iter().zip(&resting).filter(|(a, b)| a != b).count();
+            // the first cameras may come from some of the tracks
+            if changed as f64 <= STAYS * now.len() as f64 && !is_thinned {
                 break;
             }
+            is_thinned = false;
             let Some(next) = self.solve_at_rest(|t| now[t], Some(&structure))? else { break };
             if next.summary.n_components == 0 {
                 break;
             }
             (structure, resting) = (next, now);
-            fits = self.choose(&structure);
+            fits = self.choose(&structure, &fits);
         }
         let known = self.n_known_static();
         let assumption = if known > 0 { Assumption::KnownStatic(known) } else { Assumption::MostStatic };
@@ -365,7 +391,7 @@ impl<'a, const D: usize> Input<'a, D> {
                 return None;
             }
             let at_rest = Lanes::from_vector::<D>(&structure.points[t]);
-            select::choose::<D>(&sightings, &self.motion.candidates, sigma, at_rest)
+            select::choose::<D>(&sightings, &self.motion.candidates, sigma, at_rest, found.fits[t].as_ref())
         };
         let fits: Vec<Option<Fit>> = again.par_iter().with_min_len(16).map(path).collect();
         for (t, fit) in again.into_iter().zip(fits) {
@@ -398,7 +424,7 @@ impl<'a, const D: usize> Input<'a, D> {
             && structure.summary.n_components == 1
             && structure.summary.status == Status::Converged
         {
-            let fits = self.choose(&structure);
+            let fits = self.choose(&structure, &[]);
             let mut found = Found { structure, fits, assumption: Assumption::MostStatic };
             if let Ok(cost) = self.descend_from::<V>(&mut found) {
                 ends.push((cost, found));
@@ -480,6 +506,8 @@ impl<'a, const D: usize> Input<'a, D> {
         if self.motion.covariance {
             covariance.resize(n_tracks, Vec::new());
         }
+        let mut of_view = vec![Vec::new(); self.tracks.n_views()];
+        self.observation.iter().for_each(|&o| of_view[self.tracks.view()[o as usize] as usize].push(o));
         for part in 0..structure.summary.n_components as i32 {
             let of_part = |member: &Member<'_>| {
                 let view = self.tracks.view()[member.rows[0] as usize] as usize;
@@ -502,7 +530,7 @@ impl<'a, const D: usize> Input<'a, D> {
                 let track = part_layout.input_track[j] as usize;
                 verdict[track] = match part_layout.courses.moves(j) {
                     false => Verdict::Static,
-                    true if verdict::is_loose(*loose) => self.why_loose(&structure, track, sigma),
+                    true if verdict::is_loose(*loose) => self.why_loose(&of_view, track, sigma),
                     true => Verdict::Moving,
                 };
             }
@@ -586,24 +614,19 @@ impl<'a, const D: usize> Input<'a, D> {
         }
     }
 
-    /// Hidden by another track, or imitated by the camera.
-    fn why_loose(&self, structure: &Structure<D>, track: usize, sigma: f64) -> Verdict {
+    /// Hidden by another track, or imitated by the camera. `of_view` lists the observations of each view.
+    fn why_loose(&self, of_view: &[Vec<u32>], track: usize, sigma: f64) -> Verdict {
         let mine = self.observations(track);
         let limit = HIDDEN_SIGMAS * sigma;
         let view = |o: u32| self.tracks.view()[o as usize];
-        let Some(&first) = mine.first() else { return Verdict::Undetermined };
-        let candidates = (0..self.tracks.len() as u32).filter(|&o| view(o) == view(first) && o != first);
-        for other in candidates {
+        let is_near =
+            |a: u32, b: u32| norm(&sub(&self.tracks.bearing()[a as usize], &self.tracks.bearing()[b as usize])) < limit;
+        let Some(&first) = mine.first().filter(|_| mine.len() > 1) else { return Verdict::Undetermined };
+        for &other in of_view[view(first) as usize].iter().filter(|&&o| is_near(o, first)) {
             let by = self.tracks.track()[other as usize];
             let theirs = self.observations(by as usize);
-            let mut common = 0;
-            let agrees = mine.iter().all(|&o| {
-                let Some(&same) = theirs.iter().find(|&&p| view(p) == view(o)) else { return false };
-                common += 1;
-                let chord = sub(&self.tracks.bearing()[o as usize], &self.tracks.bearing()[same as usize]);
-                norm(&chord) < limit
-            });
-            if agrees && common >= 2 && by as usize != track && structure.view_component[view(first) as usize] >= 0 {
+            let agrees = |&o: &u32| theirs.iter().any(|&same| view(same) == view(o) && is_near(same, o));
+            if by as usize != track && mine.iter().all(agrees) {
                 return Verdict::Hidden { by };
             }
         }

@@ -18,31 +18,44 @@ const LEAST_SHARE: f64 = 0.5;
 
 /// The path that a track shows among rest and the candidates; `None` where nothing agrees with most of its observations.
 ///
-/// `at_rest` is where the point would be if it were at rest, as far as that is known.
+/// `at_rest` is where the point would be if it were at rest, as far as that is known; `before` the path found with cameras that
+/// stood a little elsewhere.
 pub(super) fn choose<const D: usize>(
     sightings: &Sightings,
     candidates: &[Form],
     sigma: f64,
     at_rest: Lanes,
+    before: Option<&Fit>,
 ) -> Option<Fit> {
     let rows = ((D - 1) * sightings.len()) as f64;
     let agrees = |fit: &Fit, share: f64| fit.n_kept() as f64 >= share * sightings.len() as f64;
-    let rests =
-        |still: &Fit| agrees(still, AT_REST_SHARE) && inlier_cost(still) <= chi_squared(freedom::<D>(still), AT_REST_Z);
-    let near = fit_near::<D>(sightings, &Form::Static, sigma, vec![at_rest]);
-    if let Some(still) = near.filter(rests) {
-        return Some(still);
-    }
-    let still = fit::<D>(sightings, &Form::Static, sigma);
-    if let Some(still) = still.as_ref().filter(|still| rests(still)) {
+    let suffices =
+        |fit: &Fit| agrees(fit, AT_REST_SHARE) && inlier_cost(fit) <= chi_squared(freedom::<D>(fit), AT_REST_Z);
+    let before = before.filter(|fit| fit.form.len() > 1);
+    let middle = before.map_or(at_rest, |fit| middle_of(fit, sightings));
+    let near = fit_near::<D>(sightings, &Form::Static, sigma, vec![middle]);
+    let again = before.and_then(|fit| fit_near::<D>(sightings, &fit.form, sigma, fit.vectors.clone())).filter(suffices);
+    // a point that the cameras were solved with was sought well enough there
+    let is_known = again.is_some() || before.is_none() && at_rest.0[0].is_finite();
+    let still =
+        if is_known { near } else { near.filter(suffices).or_else(|| fit::<D>(sightings, &Form::Static, sigma)) };
+    if let Some(still) = still.as_ref().filter(|still| suffices(still)) {
         return Some(still.clone());
     }
     let score = |fit: &Fit| fit.cost + (D * fit.form.len()) as f64 * rows.ln();
-    let moving = candidates
-        .iter()
-        .filter_map(|form| fit::<D>(sightings, form, sigma))
-        .filter(|fit| has_spare::<D>(fit) && agrees(fit, LEAST_SHARE))
-        .min_by(|a, b| score(a).total_cmp(&score(b)));
+    let mut moving = again;
+    for form in if moving.is_some() { &[] } else { candidates } {
+        // candidates go from the simple to the rich: what suffices ends the search
+        let found = fit::<D>(sightings, form, sigma).filter(|fit| has_spare::<D>(fit) && agrees(fit, LEAST_SHARE));
+        let Some(found) = found else { continue };
+        let is_enough = suffices(&found);
+        if moving.as_ref().is_none_or(|best| score(&found) < score(best)) {
+            moving = Some(found);
+        }
+        if is_enough {
+            break;
+        }
+    }
     match (still, moving) {
         (Some(still), Some(moving)) => {
             let more = (D * (moving.form.len() - 1)) as f64;
@@ -52,6 +65,14 @@ pub(super) fn choose<const D: usize>(
         (None, moving) => moving,
         (still, None) => still.filter(|still| agrees(still, LEAST_SHARE)),
     }
+}
+
+/// Where a path is in the middle of the time that its track was seen.
+fn middle_of(fit: &Fit, sightings: &Sightings) -> Lanes {
+    let (first, last) = sightings.span();
+    let mut values = vec![0.0; fit.form.len()];
+    fit.form.values(0.5 * (first + last), 0, &mut values);
+    values.iter().zip(&fit.vectors).fold(Lanes::ZERO, |sum, (b, p)| sum.plus_scaled(*b, p))
 }
 
 /// Cost of the observations that agree.

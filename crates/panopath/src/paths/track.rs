@@ -21,10 +21,11 @@ const SCALE_OVER_MEDIAN: f64 = 2.0;
 const STEPS: usize = 8;
 /// A step that lowers the cost by less than this, in units of sigma squared, is the last.
 const LITTLE_GAIN: f64 = 1e-3;
-/// Where a fit to all observations errs by more than noise does, fits to so many subsets of this share are tried.
-const SUBSETS: usize = 8;
-const SUBSET_SHARE: f64 = 0.55;
+/// Where a fit to all observations errs by more than noise does, fits to so many small subsets are tried.
+const SUBSETS: usize = 12;
 const SUBSETS_Z: f64 = 2.3;
+/// They end where no more than this share errs.
+const FEW_OUTLIERS: f64 = 0.2;
 /// Observations beyond those that the unknowns take, so that a fit says anything.
 const SPARE_ROWS: usize = 2;
 
@@ -92,7 +93,7 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
     let fine = chi_squared(((D - 1) * n - D * form.len().min((D - 1) * n / D)) as f64, SUBSETS_Z);
     if best.as_ref().is_none_or(|(cost, _)| *cost > fine) {
         // false rays may have drawn it away: some subset is free of them
-        let size = (needed + 1).max((SUBSET_SHARE * n as f64).ceil() as usize).min(n);
+        let size = (needed + 1).min(n);
         for subset in 0..SUBSETS {
             let Some(vectors) = linear::<D>(sightings, course, &subset_weights(n, size, subset), &mut system) else {
                 continue;
@@ -100,6 +101,9 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
             let reached = cost(&vectors);
             if best.as_ref().is_none_or(|(least, _)| reached < *least) {
                 best = Some((reached, vectors));
+            }
+            if reached <= fine + FEW_OUTLIERS * n as f64 * OUTLIER_SIGMAS * OUTLIER_SIGMAS {
+                break;
             }
         }
     }

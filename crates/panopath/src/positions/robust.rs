@@ -85,7 +85,11 @@ fn solve_regular_part<const D: usize>(
     let clock = Instant::now();
     let steps = first.steps;
     let mut best = settle(part, &mut system, first.estimate, max_iterations)?;
-    if !given && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &best.inlier) > MANY_LOST) {
+    // an even start is one for bodies that move
+    if !given
+        && !even_start
+        && (freedom_of(part) < LOW_REDUNDANCY || share_of_lost_tracks(part, &best.inlier) > MANY_LOST)
+    {
         let mut others = Vec::new();
         for weights in [StartWeights::Parallax, StartWeights::Equal] {
             // a start that leads nowhere is no loss: there is one end already
