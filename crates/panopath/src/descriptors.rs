@@ -539,18 +539,23 @@ struct Meridians {
     starts: Vec<u32>,
     features: Vec<u32>,
     /// Half the range of azimuths in each ring that lies in the band; none where it is about all of them.
-    half_widths: [Option<f64>; RINGS],
+    half_widths: Vec<Option<f64>>,
 }
 
 impl Meridians {
     fn new(bearings: &[Vector<3>], direction: &Vector<3>, band: f64) -> Self {
         let [x, y] = tangent_basis(direction);
-        let half_widths = std::array::from_fn(|r| {
+        let half_width = |r: usize| {
             let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
             // nearer to a pole the band is about all meridians
             (1.5 * band.sin() < thinnest).then(|| (band.sin() / thinnest).asin())
-        });
-        let mut found = Self { axes: [x, y, *direction], starts: Vec::new(), features: Vec::new(), half_widths };
+        };
+        let mut found = Self {
+            axes: [x, y, *direction],
+            starts: Vec::new(),
+            features: Vec::new(),
+            half_widths: (0..RINGS).map(half_width).collect(),
+        };
         let known = (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite()));
         let place = |j: u32| {
             let (from_pole, azimuth) = found.polar(&bearings[j as usize]);

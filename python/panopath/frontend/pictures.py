@@ -25,7 +25,7 @@ from panopath.checkpoints import Checkpoints, key_of
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.database import Database, database_of_features
 from panopath.frontend.extras import opencv
-from panopath.frontend.features import FeatureOptions, Features, extract_features
+from panopath.frontend.features import FeatureFinder, FeatureOptions, Features
 from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
 from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
@@ -152,16 +152,16 @@ def measure(
     say = report or (lambda _stage, _done, _of: None)
     seconds: dict[str, float] = {}
     key = key_of_source(source)
-    motion, keyframes = None, None
+    motion, keyframes, pts = None, None, None
     if source.kind is SourceKind.VIDEO:
         begin = time.perf_counter()
         key = key_of(key, chosen.video)
         motion = _moving(source, chosen, Store(store, key), say)
-        keyframes = choose_keyframes(motion, chosen.video)
+        keyframes, pts = choose_keyframes(motion, chosen.video), motion.pts
         seconds["motion"] = time.perf_counter() - begin
     begin = time.perf_counter()
     key = key_of(key, chosen.width, chosen.features, key_of_masks(masks), color)
-    looked = _look(_Look(source, keyframes, chosen, masks, color), Store(store, key), say, each)
+    looked = _look(_Look(source, keyframes, pts, chosen, masks, color), Store(store, key), say, each)
     seconds["features"] = time.perf_counter() - begin
     features = [one.features for one in looked]
     empty = tuple(one.name for one in looked if len(one.features) < _FEWEST)
@@ -220,6 +220,8 @@ class _Look:
 
     source: Source
     keyframes: Index | None
+    #: Time stamps of all frames of a video, where they tell them apart.
+    pts: Index | None
     options: FrontEndOptions
     masks: Path | None
     color: bool
@@ -240,8 +242,10 @@ def _look(
     done = len(look) - len(missing)
     say("features", done, len(look))
 
+    find = FeatureFinder(look.options.features, equirectangular=look.source.is_panoramic)
+
     def extract(picture: Picture, mask: Bool | None) -> Features:
-        own = extract_features(picture.gray, look.options.features, mask=mask, equirectangular=look.source.is_panoramic)
+        own = find(picture.gray, mask)
         return own if picture.color is None else replace(own, color=_colors(own, picture.gray, picture.color))
 
     for picture, features in _in_parallel(_pictures(look, missing), extract):
@@ -306,7 +310,7 @@ def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Boo
         own = min(width, source.cameras[0].width) // 2 * 2
         check_masks(source, look.masks)
         mask = None if look.masks is None else read_mask(look.masks)
-        frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color)
+        frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color, pts=look.pts)
         for k, frame in zip(wanted, frames, strict=True):
             yield Picture(k, f"frame_{frame.index:06d}.jpg", frame.gray, frame.color, frame.time_s), mask
         return
