@@ -33,6 +33,7 @@ from panopath.frontend.moments import SMALL_RIG_M, match_moments
 from panopath.frontend.sources import Source, SourceKind
 from panopath.frontend.stored import Looked, Store, key_of_masks, key_of_source
 from panopath.frontend.video import (
+    DecodedFrames,
     VideoKind,
     VideoMotion,
     VideoOptions,
@@ -152,16 +153,16 @@ def measure(
     say = report or (lambda _stage, _done, _of: None)
     seconds: dict[str, float] = {}
     key = key_of_source(source)
-    motion, keyframes, pts = None, None, None
+    motion, keyframes, pts, decoded = None, None, None, DecodedFrames()
     if source.kind is SourceKind.VIDEO:
         begin = time.perf_counter()
         key = key_of(key, chosen.video)
-        motion = _moving(source, chosen, Store(store, key), say)
+        motion = _moving(source, chosen, Store(store, key), say, decoded)
         keyframes, pts = choose_keyframes(motion, chosen.video), motion.pts
         seconds["motion"] = time.perf_counter() - begin
     begin = time.perf_counter()
     key = key_of(key, chosen.width, chosen.features, key_of_masks(masks), color)
-    looked = _look(_Look(source, keyframes, pts, chosen, masks, color), Store(store, key), say, each)
+    looked = _look(_Look(source, keyframes, pts, decoded, chosen, masks, color), Store(store, key), say, each)
     seconds["features"] = time.perf_counter() - begin
     features = [one.features for one in looked]
     empty = tuple(one.name for one in looked if len(one.features) < _FEWEST)
@@ -222,6 +223,7 @@ class _Look:
     keyframes: Index | None
     #: Time stamps of all frames of a video, where they tell them apart.
     pts: Index | None
+    decoded: DecodedFrames
     options: FrontEndOptions
     masks: Path | None
     color: bool
@@ -293,11 +295,17 @@ def _in_parallel(
 
 
 def _moving(
-    source: Source, options: FrontEndOptions, store: Store, say: Callable[[str, int, int], None]
+    source: Source,
+    options: FrontEndOptions,
+    store: Store,
+    say: Callable[[str, int, int], None],
+    decoded: DecodedFrames,
 ) -> VideoMotion:
     """How the camera moved, where it did."""
     n = source.video.n_frames if source.video is not None else 0
-    motion = store.motion(lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n)))
+    motion = store.motion(
+        lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n), decoded=decoded)
+    )
     if motion.kind is not VideoKind.MOVING:
         raise UndeterminedError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
     return motion
@@ -310,7 +318,14 @@ def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Boo
         own = min(width, source.cameras[0].width) // 2 * 2
         check_masks(source, look.masks)
         mask = None if look.masks is None else read_mask(look.masks)
-        frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color, pts=look.pts)
+        frames = read_frames(
+            source.path,
+            look.keyframes[list(wanted)].tolist(),
+            own,
+            color=look.color,
+            pts=look.pts,
+            decoded=look.decoded,
+        )
         for k, frame in zip(wanted, frames, strict=True):
             yield Picture(k, f"frame_{frame.index:06d}.jpg", frame.gray, frame.color, frame.time_s), mask
         return

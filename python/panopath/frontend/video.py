@@ -6,7 +6,8 @@ parallax. Where it has grown enough, the next reference begins. This drifts, and
 new keyframes are worth their time, and what kind of video this is.
 
 The video is decoded twice, first small and whole, then the keyframes at the working resolution; one frame is in memory.
-Where the codec says which frames no other needs, the second pass leaves those out that are not asked for.
+The second pass leaves out what is not asked for and no other frame needs, where the codec says so; a short video needs
+none, since its frames stay in memory until the keyframes are chosen.
 """
 
 from __future__ import annotations
@@ -33,8 +34,6 @@ _Item = TypeVar("_Item")
 
 #: Points followed, and fewest that say how the camera moved.
 _POINTS, _FEWEST = 400, 25
-#: Pixels around a point that are compared. A step below this many pixels, or so many steps, are enough for rough motion.
-_WINDOW, _FINE_ENOUGH = (11, 11), (10, 0.03)
 #: Parallax at which the next frame of reference begins, radians: well above what following errs by.
 _REFERENCE_RAD = float(np.radians(0.8))
 #: Share of the points that show less parallax than what counts: much of a panorama may be sky.
@@ -50,6 +49,8 @@ _MOST_ELEVATION_RAD = float(np.radians(60.0))
 #: Formats of frames whose first plane is the brightness, a byte a pixel; FFmpeg's number of the full range of it.
 _BRIGHTNESS_FIRST = {"yuv420p", "yuv422p", "yuv444p", "yuvj420p", "yuvj422p", "yuvj444p", "nv12", "gray"}
 _FULL_RANGE = 2
+#: Bytes of decoded frames that may stay in memory.
+_MOST_KEPT = 400_000_000
 #: Codecs in which a frame that is marked as no reference is needed by no other, whatever the encoder. (HEVC is none of
 #: them: there the mark is about frames of the same temporal layer.)
 _TELLS_REFERENCES = {"h264", "mpeg2video", "mpeg4"}
@@ -237,6 +238,28 @@ def _frames(
                     yield frame
 
 
+class DecodedFrames:
+    """All frames of a short video, so that none is decoded twice; of a longer one none."""
+
+    def __init__(self, most_bytes: int = _MOST_KEPT) -> None:
+        self._left = most_bytes
+        self._frames: dict[int, Any] = {}
+
+    def keep(self, frame: Any) -> None:
+        """Keep the next frame, if there is room for all."""
+        self._left -= sum(plane.buffer_size for plane in frame.planes)
+        if self._left >= 0:
+            self._frames[len(self._frames)] = frame
+        else:
+            self._frames.clear()
+
+    def pop(self, index: int) -> Any | None:
+        """Hand out a frame, and let go of those before it."""
+        for k in [k for k in self._frames if k < index]:
+            del self._frames[k]
+        return self._frames.pop(index, None)
+
+
 def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
     """Yield the items, while a thread makes the next one: decoding and what follows share two processors."""
     end = object()
@@ -265,7 +288,11 @@ def _is_full_range(frame: Any) -> bool:
 
 
 def video_motion(
-    path: Path, options: VideoOptions | None = None, report: Callable[[int], None] | None = None
+    path: Path,
+    options: VideoOptions | None = None,
+    report: Callable[[int], None] | None = None,
+    *,
+    decoded: DecodedFrames | None = None,
 ) -> VideoMotion:
     """Follow points through a 360 video.
 
@@ -277,6 +304,8 @@ def video_motion(
         Choices; default ``VideoOptions()``.
     report
         Called with the number of frames seen so far.
+    decoded
+        Where to keep the frames, for :func:`read_frames`.
 
     Raises
     ------
@@ -293,6 +322,8 @@ def video_motion(
 
     def small() -> Iterator[tuple[float | None, int | None, Gray]]:
         for frame in _frames(path, damaged):
+            if decoded is not None:
+                decoded.keep(frame)
             yield frame.time, frame.pts, _gray(frame, width)
 
     follower, times, stamps = _Follower(width), [], []
@@ -356,15 +387,13 @@ class _Follower:
     def _follow(self, padded: Gray) -> tuple[Float, float, bool]:
         """Rotation from the frame of reference, and the angle that it leaves of all but the nearest points."""
         if len(self._points) >= _FEWEST:
-            cv2 = opencv()
-            moved, found, _ = cv2.calcOpticalFlowPyrLK(
+            moved, found, _ = opencv().calcOpticalFlowPyrLK(
                 self._before,
                 padded,
                 self._points + np.array((_PAD, 0), dtype=np.float32),
                 None,
-                winSize=_WINDOW,
+                winSize=(15, 15),
                 maxLevel=4,
-                criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, *_FINE_ENOUGH),
             )
             moved = moved - np.array((_PAD, 0), dtype=np.float32)
             elevation = np.abs(0.5 - moved[:, 1] / (self._width / 2)) * np.pi
@@ -480,7 +509,13 @@ class VideoFrame:
 
 
 def read_frames(
-    path: Path, indices: Sequence[int], width: int, *, color: bool = False, pts: Index | None = None
+    path: Path,
+    indices: Sequence[int],
+    width: int,
+    *,
+    color: bool = False,
+    pts: Index | None = None,
+    decoded: DecodedFrames | None = None,
 ) -> Iterator[VideoFrame]:
     """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high.
 
@@ -497,6 +532,8 @@ def read_frames(
     pts
         (F,) time stamps of all frames, ascending, where known: then many of the others need not be decoded. The frames
         are the same.
+    decoded
+        Frames that are in memory.
 
     Raises
     ------
@@ -510,6 +547,8 @@ def read_frames(
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
         return VideoFrame(index, float(index if frame.time is None else frame.time), _gray(frame, width), rgb)
 
+    while decoded is not None and left and (known := decoded.pop(left[0])) is not None:
+        yield seen(known)
     if pts is not None and left and left[-1] < len(pts):
         stamps = dict(zip(pts[list(left)].tolist(), left, strict=True))
         for frame in _frames(path, wanted=stamps):
