@@ -49,6 +49,8 @@ _MOST_ELEVATION_RAD = float(np.radians(60.0))
 #: Formats of frames whose first plane is the brightness, a byte a pixel; FFmpeg's number of the full range of it.
 _BRIGHTNESS_FIRST = {"yuv420p", "yuv422p", "yuv444p", "yuvj420p", "yuvj422p", "yuvj444p", "nv12", "gray"}
 _FULL_RANGE = 2
+#: Small frames made before they are asked for: some take longer to decode than others.
+_AHEAD = 6
 #: Bytes of decoded frames that may stay in memory.
 _MOST_KEPT = 400_000_000
 #: Codecs in which a frame that is marked as no reference is needed by no other, whatever the encoder. (HEVC is none of
@@ -261,12 +263,12 @@ class DecodedFrames:
 
 
 def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
-    """Yield the items, while a thread makes the next one: decoding and what follows share two processors."""
+    """Yield the items, while a thread makes the next ones: decoding and what follows share two processors."""
     end = object()
     with ThreadPoolExecutor(1) as pool:
-        following: Future[Any] = pool.submit(next, items, end)
-        while (item := following.result()) is not end:
-            following = pool.submit(next, items, end)
+        following: deque[Future[Any]] = deque(pool.submit(next, items, end) for _ in range(_AHEAD))
+        while (item := following.popleft().result()) is not end:
+            following.append(pool.submit(next, items, end))
             yield item
 
 
