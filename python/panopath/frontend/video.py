@@ -559,6 +559,8 @@ def read_frames(
             if stamps[frame.pts] != left[0]:
                 break
             yield seen(frame)
+            if not left:
+                return
     # by counting, where there are no stamps, or they are not those of the packets
     for k, frame in enumerate(_frames(path) if left else ()):
         if k == left[0]:
