@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
+from panopath.checkpoints import Checkpoints
 from panopath.mapping import MapOptions, map_database
 from panopath.model import InputError
 
@@ -20,6 +21,7 @@ pytest.importorskip("PIL", reason="needs the extra images")
 
 from panopath.frontend import (  # noqa: E402
     FeatureOptions,
+    Features,
     FrontEndOptions,
     MatchingOptions,
     SourceKind,
@@ -326,6 +328,27 @@ def test_known_places_pair_the_nearest(pictures: list[Gray]) -> None:
 # from end to end
 
 
+def test_look_alikes_that_share_the_sky_alone_are_not_matched() -> None:
+    # hills seen from both sides of a loop: tracks over the whole path would tear it
+    rng = np.random.default_rng(0)
+    ray = rng.normal(size=(150, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    descriptors = rng.integers(0, 90, (150, 128)).astype(np.uint8)
+    pixels = equirectangular_from_bearings(ray, W, W // 2)
+    images = [Features(pixels, descriptors)] * 7
+    options = MatchingOptions(neighbours=2)
+    for in_sequence, expected in ((True, [[0, 1], [0, 2]]), (False, [[0, 1], [0, 2], [0, 3], [0, 6]])):
+        found = match_images(
+            images,
+            [ray] * 7,
+            2.0 * np.pi / W,
+            options,
+            in_sequence=in_sequence,
+            pairs=[[0, 1], [0, 2], [0, 3], [0, 6]],
+        )
+        assert found.pairs.tolist() == expected
+
+
 def rmse(centers: npt.NDArray[np.float64], truth: npt.NDArray[np.float64]) -> float:
     """Root mean square after the best similarity, over the rms distance from the middle (Umeyama 1991)."""
     a, b = centers - centers.mean(axis=0), truth - truth.mean(axis=0)
@@ -349,6 +372,19 @@ def test_pixels_are_those_of_the_full_picture(folder: Path) -> None:
     assert found.database.cameras[0].width == W
     assert found.features[0].pixels[:, 0].max() > 0.9 * W
     np.testing.assert_allclose(found.database.pixel_rad, 2 * 2 * np.pi / W)
+
+
+def test_what_goes_with_the_camera_is_found_once(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, source = Checkpoints(tmp_path_factory.mktemp("work")), recognise(folder)
+    first = measure(source, store=store)
+    monkeypatch.setattr("panopath.frontend.pictures.find_fixed", lambda *_: pytest.fail("found again"))
+    again = measure(source, store=store)
+    assert len(first.fixed) == len(again.fixed) == 1
+    for name in ("cell_rad", "is_fixed", "n_tried", "n_stayed", "share", "refused_share"):
+        np.testing.assert_array_equal(getattr(again.fixed[0], name), getattr(first.fixed[0], name))
+    assert first.fixed[0].n_tried.any()
 
 
 def test_masks_of_pictures(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -25,7 +25,7 @@
 //! around the sphere, which has no poles.
 
 use std::f64::consts::{FRAC_PI_2, PI};
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 use std::slice::from_ref;
 
 use pulp::bytemuck::cast_slice;
@@ -433,7 +433,7 @@ impl<S: pulp::Simd> Lanes<S> {
 struct Guided<'a> {
     first: &'a Side<'a>,
     second: &'a Side<'a>,
-    allowed: &'a Allowed<'a>,
+    allowed: &'a Allowed,
 }
 
 impl pulp::WithSimd for Guided<'_> {
@@ -459,7 +459,7 @@ impl pulp::WithSimd for Guided<'_> {
 }
 
 /// Features of the second image by where they are, and the test of the motion.
-struct Allowed<'a> {
+struct Allowed {
     second_from_first: Rotation<3>,
     /// In the frame of the second image.
     direction: Option<Vector<3>>,
@@ -467,12 +467,11 @@ struct Allowed<'a> {
     cos_radius: f64,
     band: f64,
     sin_band: f64,
-    bearings: &'a [Vector<3>],
     index: Index,
 }
 
-impl<'a> Allowed<'a> {
-    fn new(guide: &Guide, second: &Side<'a>) -> Self {
+impl Allowed {
+    fn new(guide: &Guide, second: &Side) -> Self {
         let direction = guide.direction.map(|e| guide.second_from_first.apply(&e));
         let band = guide.band_rad.min(FRAC_PI_2);
         let index = match direction {
@@ -486,7 +485,6 @@ impl<'a> Allowed<'a> {
             cos_radius: guide.radius_rad.cos(),
             band,
             sin_band: band.sin(),
-            bearings: second.bearings,
             index,
         }
     }
@@ -499,8 +497,7 @@ impl<'a> Allowed<'a> {
         }
         let q = self.second_from_first.apply(bearing);
         let circle = self.direction.and_then(|e| great_circle(&q, &e, self.sin_band));
-        let visit = |j: u32| {
-            let b = &self.bearings[j as usize];
+        let visit = |j: u32, b: &Vector<3>| {
             let on_path = circle.as_ref().is_none_or(|[normal, along, outward]| {
                 dot(normal, b).abs() <= self.sin_band
                     && dot(along, b) >= -self.sin_band
@@ -535,9 +532,8 @@ const PARTS: usize = 256;
 /// through the direction are meridians, and a band about one is a short range of every ring.
 struct Meridians {
     axes: [Vector<3>; 3],
-    /// Where the features of each part of each ring begin.
-    starts: Vec<u32>,
-    features: Vec<u32>,
+    /// By part of a ring.
+    listed: Listed,
     /// Half the range of azimuths in each ring that lies in the band; none where it is about all of them.
     half_widths: Vec<Option<f64>>,
 }
@@ -552,8 +548,7 @@ impl Meridians {
         };
         let mut found = Self {
             axes: [x, y, *direction],
-            starts: Vec::new(),
-            features: Vec::new(),
+            listed: Listed::default(),
             half_widths: (0..RINGS).map(half_width).collect(),
         };
         let known = (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite()));
@@ -561,7 +556,7 @@ impl Meridians {
             let (from_pole, azimuth) = found.polar(&bearings[j as usize]);
             (ring(from_pole) * PARTS + part(azimuth), j)
         };
-        (found.starts, found.features) = sorted(RINGS * PARTS, &known.map(place).collect::<Vec<_>>());
+        found.listed = Listed::new(RINGS * PARTS, &known.map(place).collect::<Vec<_>>(), bearings);
         found
     }
 
@@ -572,15 +567,14 @@ impl Meridians {
 
     /// Calls `visit` with all features that may be in the band about the meridian of `q`, up to `radius` from it; of all
     /// azimuths where `q` is at a pole.
-    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32)) {
+    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32, &Vector<3>)) {
         let (from_pole, azimuth) = self.polar(q);
         // points move away from the pole that the motion points at, but for the band: by its width in the plane, and by
         // at most three times that where it bends round the pole
         let first = from_pole - if at_pole { radius } else { radius.min(4.0 * band) };
         for r in ring(first)..=ring(from_pole + radius) {
             let mut all_of = |parts: RangeInclusive<usize>| {
-                let range = self.starts[r * PARTS + parts.start()]..self.starts[r * PARTS + parts.end() + 1];
-                self.features[range.start as usize..range.end as usize].iter().for_each(|&j| visit(j));
+                self.listed.visit(r * PARTS + parts.start()..r * PARTS + parts.end() + 1, &mut visit);
             };
             let Some(half) = self.half_widths[r].filter(|_| !at_pole) else {
                 all_of(0..=PARTS - 1);
@@ -602,21 +596,37 @@ fn part(azimuth: f64) -> usize {
     (((azimuth + PI) / (2.0 * PI) * PARTS as f64).max(0.0) as usize).min(PARTS - 1)
 }
 
-/// Where each of `n` places begins in the list of what is there, and the list.
-fn sorted(n: usize, placed: &[(usize, u32)]) -> (Vec<u32>, Vec<u32>) {
-    let mut starts = vec![0; n + 1];
-    for &(place, _) in placed {
-        starts[place + 1] += 1;
+/// Features by the place that they are in, with their bearings.
+#[derive(Default)]
+struct Listed {
+    /// Where the features of each place begin.
+    starts: Vec<u32>,
+    features: Vec<(u32, Vector<3>)>,
+}
+
+impl Listed {
+    /// Sorts places below `n` and the features in them.
+    fn new(n: usize, placed: &[(usize, u32)], bearings: &[Vector<3>]) -> Self {
+        let mut starts = vec![0; n + 1];
+        for &(place, _) in placed {
+            starts[place + 1] += 1;
+        }
+        for k in 1..starts.len() {
+            starts[k] += starts[k - 1];
+        }
+        let (mut next, mut features) = (starts.clone(), vec![(0, [0.0; 3]); placed.len()]);
+        for &(place, j) in placed {
+            features[next[place] as usize] = (j, bearings[j as usize]);
+            next[place] += 1;
+        }
+        Self { starts, features }
     }
-    for k in 1..starts.len() {
-        starts[k] += starts[k - 1];
+
+    /// Calls `visit` with the features of places that follow one another.
+    fn visit(&self, places: Range<usize>, visit: &mut impl FnMut(u32, &Vector<3>)) {
+        let features = self.starts[places.start] as usize..self.starts[places.end] as usize;
+        self.features[features].iter().for_each(|(j, b)| visit(*j, b));
     }
-    let (mut next, mut listed) = (starts.clone(), vec![0; placed.len()]);
-    for &(place, j) in placed {
-        listed[next[place] as usize] = j;
-        next[place] += 1;
-    }
-    (starts, listed)
 }
 
 fn ring(from_pole: f64) -> usize {
@@ -635,9 +645,8 @@ fn great_circle(q: &Vector<3>, e: &Vector<3>, sin_band: f64) -> Option<[Vector<3
 /// Bearings sorted by the cube of space that they are in.
 struct Grid {
     n: usize,
-    /// Where the features of each cube begin.
-    starts: Vec<u32>,
-    features: Vec<u32>,
+    /// By cube.
+    listed: Listed,
 }
 
 impl Grid {
@@ -645,20 +654,18 @@ impl Grid {
         let n = ((2.0 / chord).floor() as usize).clamp(1, MAX_CELLS);
         let known = (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite()));
         let place = |j: u32| (index(n, bearings[j as usize].map(|x| cell(x, n))), j);
-        let (starts, features) = sorted(n * n * n, &known.map(place).collect::<Vec<_>>());
-        Self { n, starts, features }
+        Self { n, listed: Listed::new(n * n * n, &known.map(place).collect::<Vec<_>>(), bearings) }
     }
 
     /// Calls `visit` with the features of the cube of `q` and of those around it.
-    fn near(&self, q: &Vector<3>, mut visit: impl FnMut(u32)) {
+    fn near(&self, q: &Vector<3>, mut visit: impl FnMut(u32, &Vector<3>)) {
         let middle = q.map(|x| cell(x, self.n));
         let [low, high] = [middle.map(|c| c.saturating_sub(1)), middle.map(|c| (c + 1).min(self.n - 1))];
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 // cubes along z follow one another
-                let begin = self.starts[index(self.n, [x, y, low[2]])] as usize;
-                let end = self.starts[index(self.n, [x, y, high[2]]) + 1] as usize;
-                self.features[begin..end].iter().for_each(|&j| visit(j));
+                let [begin, end] = [low, high].map(|z| index(self.n, [x, y, z[2]]));
+                self.listed.visit(begin..end + 1, &mut visit);
             }
         }
     }

@@ -182,7 +182,8 @@ def measure(
     say("matching", 0, 0)
     fixed: tuple[FixedContent, ...] = ()
     if chosen.find_fixed:
-        fixed = _fixed(full, rays, camera_of, pixel_rad, chosen)
+        seed = chosen.matching.seed
+        fixed = Store(store, key_of(key, seed)).fixed(lambda: _fixed(full, rays, camera_of, pixel_rad, seed))
         full = [without_fixed(found, ray, fixed[c]) for found, ray, c in zip(full, rays, camera_of, strict=True)]
         rays = [_rays(cameras[c], found) for c, found in zip(camera_of, full, strict=True)]
     key = key_of(key, chosen.matching, chosen.in_sequence, chosen.find_fixed)
@@ -400,14 +401,13 @@ def _with_bearings(camera: Camera, found: Features) -> Features:
 
 
 def _fixed(
-    features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], options: FrontEndOptions
+    features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], seed: int
 ) -> tuple[FixedContent, ...]:
     """Find what is fixed to each camera."""
     found = []
     for camera, angle in enumerate(pixel_rad):
         own = np.flatnonzero(camera_of == camera).tolist()
-        sought = FixedOptions(seed=options.matching.seed)
-        found.append(find_fixed([features[k] for k in own], [rays[k] for k in own], angle, sought))
+        found.append(find_fixed([features[k] for k in own], [rays[k] for k in own], angle, FixedOptions(seed=seed)))
     return tuple(found)
 
 
