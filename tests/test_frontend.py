@@ -12,17 +12,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
-from panopath.errors import InputError
+from panopath.checkpoints import Checkpoints
 from panopath.mapping import MapOptions, map_database
+from panopath.model import InputError
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra images")
 pytest.importorskip("PIL", reason="needs the extra images")
 
 from panopath.frontend import (  # noqa: E402
     FeatureOptions,
+    Features,
     FrontEndOptions,
     MatchingOptions,
     SourceKind,
+    VideoFrame,
     VideoKind,
     VideoOptions,
     candidate_pairs,
@@ -35,7 +38,8 @@ from panopath.frontend import (  # noqa: E402
     recognise,
     video_motion,
 )
-from panopath.frontend.video import _ahead, _gray  # noqa: E402
+from panopath.frontend.features import FeatureFinder  # noqa: E402
+from panopath.frontend.video import DecodedFrames, _ahead, _frames, _gray  # noqa: E402
 
 Gray = npt.NDArray[np.uint8]
 W = 512
@@ -104,10 +108,14 @@ def folder(pictures: list[Gray], tmp_path: Path) -> Path:
     return tmp_path
 
 
-def video(path: Path, frames: list[Gray], rate: int = 10) -> Path:
+def video(
+    path: Path, frames: list[Gray], rate: int = 10, codec: str = "mpeg4", options: dict[str, str] | None = None
+) -> Path:
     av = pytest.importorskip("av", reason="needs the extra video")
+    if codec not in av.codecs_available:
+        pytest.skip(f"this FFmpeg has no {codec}")
     with av.open(str(path), "w") as out:
-        stream = out.add_stream("mpeg4", rate=rate)
+        stream = out.add_stream(codec, rate=rate, options=options or {})
         stream.height, stream.width = frames[0].shape
         stream.bit_rate, stream.pix_fmt = 8_000_000, "yuv420p"
         for picture in frames:
@@ -150,6 +158,22 @@ def test_features_are_the_same_again(pictures: list[Gray]) -> None:
     first, again = (extract_features(pictures[1]) for _ in range(2))
     np.testing.assert_array_equal(first.pixels, again.pixels)
     np.testing.assert_array_equal(first.descriptors, again.descriptors)
+
+
+@pytest.mark.parametrize("most", [60, 4000])
+@pytest.mark.parametrize("blur", [0.0, 5.0])
+def test_features_described_at_once_are_the_same(pictures: list[Gray], most: int, blur: float) -> None:
+    # of a blurred picture none is found in the doubled one
+    shown = [np.asarray(cv2.GaussianBlur(p, (0, 0), blur), dtype=np.uint8) if blur else p for p in pictures[:3]]
+    options = FeatureOptions(max_features=most)
+    find = FeatureFinder(options)
+    for picture in shown:
+        own, expected = find(picture), extract_features(picture, options)
+        np.testing.assert_array_equal(own.pixels, expected.pixels)
+        np.testing.assert_array_equal(own.descriptors, expected.descriptors)
+    assert len(find(shown[0])) > 20
+    find._at_once = True
+    np.testing.assert_array_equal(find(shown[0]).descriptors, extract_features(shown[0], options).descriptors)
 
 
 def test_masks_are_kept_clear(pictures: list[Gray]) -> None:
@@ -307,6 +331,27 @@ def test_known_places_pair_the_nearest(pictures: list[Gray]) -> None:
 # from end to end
 
 
+def test_look_alikes_that_share_the_sky_alone_are_not_matched() -> None:
+    # hills seen from both sides of a loop: tracks over the whole path would tear it
+    rng = np.random.default_rng(0)
+    ray = rng.normal(size=(150, 3))
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    descriptors = rng.integers(0, 90, (150, 128)).astype(np.uint8)
+    pixels = equirectangular_from_bearings(ray, W, W // 2)
+    images = [Features(pixels, descriptors)] * 7
+    options = MatchingOptions(neighbours=2)
+    for in_sequence, expected in ((True, [[0, 1], [0, 2]]), (False, [[0, 1], [0, 2], [0, 3], [0, 6]])):
+        found = match_images(
+            images,
+            [ray] * 7,
+            2.0 * np.pi / W,
+            options,
+            in_sequence=in_sequence,
+            pairs=[[0, 1], [0, 2], [0, 3], [0, 6]],
+        )
+        assert found.pairs.tolist() == expected
+
+
 def rmse(centers: npt.NDArray[np.float64], truth: npt.NDArray[np.float64]) -> float:
     """Root mean square after the best similarity, over the rms distance from the middle (Umeyama 1991)."""
     a, b = centers - centers.mean(axis=0), truth - truth.mean(axis=0)
@@ -330,6 +375,19 @@ def test_pixels_are_those_of_the_full_picture(folder: Path) -> None:
     assert found.database.cameras[0].width == W
     assert found.features[0].pixels[:, 0].max() > 0.9 * W
     np.testing.assert_allclose(found.database.pixel_rad, 2 * 2 * np.pi / W)
+
+
+def test_what_goes_with_the_camera_is_found_once(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, source = Checkpoints(tmp_path_factory.mktemp("work")), recognise(folder)
+    first = measure(source, store=store)
+    monkeypatch.setattr("panopath.frontend.pictures.find_fixed", lambda *_: pytest.fail("found again"))
+    again = measure(source, store=store)
+    assert len(first.fixed) == len(again.fixed) == 1
+    for name in ("cell_rad", "is_fixed", "n_tried", "n_stayed", "share", "refused_share"):
+        np.testing.assert_array_equal(getattr(again.fixed[0], name), getattr(first.fixed[0], name))
+    assert first.fixed[0].n_tried.any()
 
 
 def test_masks_of_pictures(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -428,6 +486,81 @@ def test_damaged_frames_are_passed_over(frames: list[Gray], tmp_path: Path) -> N
     motion = video_motion(path, VideoOptions(motion_width=256))
     assert len(motion) + motion.n_corrupt >= 15
     assert [frame.index for frame in read_frames(path, [0, 2], 256)] == [0, 2]
+
+
+def same_frames(path: Path, indices: list[int], **known: Any) -> bool:
+    """Whether frames are those found by counting."""
+    one, other = (list(read_frames(path, indices, 256, color=True, **given)) for given in (known, {}))
+
+    def bytes_of(frame: VideoFrame) -> tuple[bytes, bytes]:
+        assert frame.color is not None
+        return frame.gray.tobytes(), frame.color.tobytes()
+
+    return [frame.index for frame in one] == indices and all(
+        a.time_s == b.time_s and bytes_of(a) == bytes_of(b) for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("codec", "options", "spares"),
+    [
+        ("libx264", {"bf": "3", "x264-params": "scenecut=0:b-adapt=0"}, True),
+        ("mpeg4", {"bf": "2"}, True),
+        ("mpeg4", {"bf": "0"}, False),
+        ("libx265", {"x265-params": "log-level=none:bframes=3:b-adapt=0"}, False),
+    ],
+)
+def test_frames_that_no_other_needs_are_left_out(
+    frames: list[Gray], tmp_path: Path, codec: str, options: dict[str, str], spares: bool
+) -> None:
+    path = video(tmp_path / "a.mp4", frames, codec=codec, options=options)
+    motion = video_motion(path, VideoOptions(motion_width=256))
+    assert motion.pts is not None
+    assert len(motion.pts) == len(frames)
+    for indices in ([0, 7, 8, 20], [1, 2, 3], [23], [5, 23]):
+        assert same_frames(path, indices, pts=motion.pts)
+    n_decoded = sum(1 for _ in _frames(path, wanted=motion.pts[[5]].tolist()))
+    assert n_decoded < 0.7 * len(frames) if spares else n_decoded == len(frames)
+
+
+def test_time_stamps_that_tell_nothing(frames: list[Gray], tmp_path: Path) -> None:
+    # a bare stream has none, or they are not those of the packets
+    bare = video(tmp_path / "a.264", frames, codec="libx264", options={"bf": "3"})
+    assert video_motion(bare, VideoOptions(motion_width=256)).pts is None
+    path = video(tmp_path / "a.mp4", frames, options={"bf": "2"})
+    assert same_frames(path, [3, 9, 20], pts=np.arange(24) * 7 + 1)
+    motion = video_motion(path, VideoOptions(motion_width=256))
+    assert motion.pts is not None
+    swapped = motion.pts[[0, 1, 2, 9, 4, 5, 6, 7, 8, 3, *range(10, 24)]]
+    assert same_frames(path, [3, 9, 20], pts=swapped)
+    with pytest.raises(InputError, match="frame 24 cannot be read any more"):
+        list(read_frames(path, [2, 24], 256, pts=motion.pts))
+
+
+def test_damaged_videos_are_counted_through(frames: list[Gray], tmp_path: Path) -> None:
+    path = video(tmp_path / "a.mp4", frames, codec="libx264", options={"bf": "3", "g": "8"})
+    data = bytearray(path.read_bytes())
+    begin = data.find(b"mdat")
+    data[begin + len(data) // 2 : begin + len(data) // 2 + 3000] = bytes(3000)
+    path.write_bytes(bytes(data))
+    motion = video_motion(path, VideoOptions(motion_width=256))
+    assert motion.n_corrupt
+    assert motion.pts is None
+
+
+def test_short_videos_are_decoded_once(frames: list[Gray], tmp_path: Path) -> None:
+    path = video(tmp_path / "a.mp4", frames)
+    options = VideoOptions(motion_width=256)
+    for most in (10_000, 10_000_000):
+        decoded = DecodedFrames(most)
+        assert len(video_motion(path, options, decoded=decoded)) == len(frames)
+        assert same_frames(path, [2, 3, 17], decoded=decoded)
+    decoded = DecodedFrames()
+    video_motion(path, options, decoded=decoded)
+    path.unlink()
+    assert [frame.index for frame in read_frames(path, [2, 3, 17], 256, decoded=decoded)] == [2, 3, 17]
+    with pytest.raises(InputError, match="there is no such file"):
+        list(read_frames(path, [2], 256, decoded=decoded))
 
 
 def test_bad_videos(tmp_path: Path) -> None:

@@ -6,7 +6,8 @@
 //! |a - b|^2 = |a|^2 + |b|^2 - 2 a.b,
 //! ```
 //!
-//! in whole numbers, so that every machine finds the same matches. A match is mutual (each is the other's nearest), near
+//! in whole numbers, so that every machine finds the same matches (all of them are below 2^24, which single precision
+//! holds exactly). A match is mutual (each is the other's nearest), near
 //! (`max_distance`) and distinct (nearer than `max_ratio` times the second nearest, on both sides: Lowe, IJCV 2004,
 //! section 7.1).
 //!
@@ -24,7 +25,10 @@
 //! around the sphere, which has no poles.
 
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::ops::{Range, RangeInclusive};
+use std::slice::from_ref;
 
+use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
 use crate::geometry::{Rotation, Vector, dot, norm, normalized, scale, sub, tangent_basis};
@@ -153,11 +157,12 @@ pub fn match_features(
 ) -> Result<Vec<Vec<[u32; 2]>>, MatchError> {
     check(features, pairs, options)?;
     let arch = pulp::Arch::new();
+    let squared: Vec<i32> = features.descriptors.par_iter().map(|d| product(d, d)).collect();
     Ok(pairs
         .par_iter()
         .map(|pair| {
-            let first = Side::new(features, pair.first, options.max_features);
-            let second = Side::new(features, pair.second, options.max_features);
+            let first = Side::new(features, &squared, pair.first, options.max_features);
+            let second = Side::new(features, &squared, pair.second, options.max_features);
             let nearest = match &pair.guide {
                 None => arch.dispatch(Exhaustive { first: &first, second: &second }),
                 Some(guide) => {
@@ -213,33 +218,31 @@ fn check_guide(index: usize, guide: Option<&Guide>) -> Result<(), MatchError> {
     Ok(())
 }
 
-/// Features of one image, ready to be compared.
+/// Features of one image that take part.
 struct Side<'a> {
-    /// Two bytes a number: the product of two such, added in pairs, is one instruction.
-    wide: Vec<[i16; LENGTH]>,
-    squared: Vec<i32>,
+    descriptors: &'a [[u8; LENGTH]],
+    squared: &'a [i32],
     bearings: &'a [Vector<3>],
     /// Longest descriptor.
     scale: f64,
 }
 
 impl<'a> Side<'a> {
-    fn new(features: &Features<'a>, image: usize, at_most: usize) -> Self {
+    fn new(features: &Features<'a>, squared: &'a [i32], image: usize, at_most: usize) -> Self {
         let begin = features.starts[image];
-        let end = features.starts[image + 1].min(begin.saturating_add(at_most));
-        let wide: Vec<[i16; LENGTH]> = features.descriptors[begin..end].iter().map(|d| d.map(i16::from)).collect();
-        let squared: Vec<i32> = wide.iter().map(|d| product(d, d)).collect();
+        let range = begin..features.starts[image + 1].min(begin.saturating_add(at_most));
+        let squared = &squared[range.clone()];
         let scale = f64::from(squared.iter().copied().max().unwrap_or(0)).sqrt();
-        Self { wide, squared, bearings: &features.bearings[begin..end], scale }
+        Self { descriptors: &features.descriptors[range.clone()], squared, bearings: &features.bearings[range], scale }
     }
 
     fn len(&self) -> usize {
-        self.wide.len()
+        self.squared.len()
     }
 }
 
 #[inline(always)]
-fn product(a: &[i16; LENGTH], b: &[i16; LENGTH]) -> i32 {
+fn product(a: &[u8; LENGTH], b: &[u8; LENGTH]) -> i32 {
     a.iter().zip(b).map(|(&x, &y)| i32::from(x) * i32::from(y)).sum()
 }
 
@@ -263,6 +266,12 @@ impl Best {
         } else if squared < self.second {
             self.second = squared;
         }
+    }
+
+    /// The nearest two of those that two have seen.
+    fn nearer(self, other: Self) -> Self {
+        let (near, far) = if other.squared < self.squared { (other, self) } else { (self, other) };
+        Self { second: near.second.min(far.squared), ..near }
     }
 }
 
@@ -297,27 +306,126 @@ struct Exhaustive<'a> {
     second: &'a Side<'a>,
 }
 
-/// Rows of the first image that meet a descriptor of the second while it is at hand.
-const BLOCK: usize = 16;
+/// Features of the first image and registers of features of the second whose products are summed at once: as many sums
+/// as there are registers for.
+const ROWS: usize = 4;
+const COLUMNS: usize = 3;
 
 impl pulp::WithSimd for Exhaustive<'_> {
     type Output = Nearest;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Nearest {
-        let (first, second) = (self.first, self.second);
-        let mut nearest = Nearest::new(first, second);
-        for begin in (0..first.len()).step_by(BLOCK) {
-            let end = (begin + BLOCK).min(first.len());
-            for (j, b) in second.wide.iter().enumerate() {
-                for i in begin..end {
-                    let squared = first.squared[i] + second.squared[j] - 2 * product(&first.wide[i], b);
-                    nearest.of_first[i].see(squared, j as u32);
-                    nearest.of_second[j].see(squared, i as u32);
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> Nearest {
+        let (n_first, n_second) = (self.first.len(), self.second.len());
+        let (width, n_rows) = (COLUMNS * S::F32_LANES, n_first.next_multiple_of(ROWS));
+        let rows = by_feature(self.first, n_rows);
+        let row_squared = lengths(self.first, n_rows);
+        let panels = by_number(self.second, width);
+        let panel_squared = lengths(self.second, n_second.next_multiple_of(width));
+        let lane: Vec<u32> = (0..width as u32).collect();
+        let mut of_first = vec![[Lanes::<S>::nothing(simd); COLUMNS]; n_rows];
+        let mut nearest = Nearest { of_first: Vec::with_capacity(n_first), of_second: Vec::with_capacity(n_second) };
+        let panels = S::as_simd_f32s(&panels).0.as_chunks::<COLUMNS>().0;
+        let panel_squared = S::as_simd_f32s(&panel_squared).0.as_chunks::<COLUMNS>().0;
+        let lane: [S::u32s; COLUMNS] = std::array::from_fn(|c| simd.partial_load_u32s(&lane[c * S::F32_LANES..]));
+        for (p, (panel, squared)) in panels.chunks_exact(LENGTH).zip(panel_squared).enumerate() {
+            let mut of_panel = [Lanes::<S>::nothing(simd); COLUMNS];
+            let index = lane.map(|lane| simd.add_u32s(lane, simd.splat_u32s((p * width) as u32)));
+            for begin in (0..n_rows).step_by(ROWS) {
+                let Some(block) = rows[begin..].first_chunk::<ROWS>() else { continue };
+                let products = products(simd, block, panel);
+                for (i, products) in (begin..).zip(&products) {
+                    let (own, own_squared) = (simd.splat_u32s(i as u32), simd.splat_f32s(row_squared[i]));
+                    for c in 0..COLUMNS {
+                        let total = simd.add_f32s(own_squared, squared[c]);
+                        let squared = simd.mul_add_e_f32s(simd.splat_f32s(-2.0), products[c], total);
+                        of_first[i][c].see(simd, squared, index[c]);
+                        of_panel[c].see(simd, squared, own);
+                    }
                 }
             }
+            nearest.of_second.extend(of_panel.iter().flat_map(Lanes::each));
         }
+        nearest.of_second.truncate(n_second);
+        let best = |lanes: &[Lanes<S>; COLUMNS]| lanes.iter().flat_map(Lanes::each).fold(Best::NOTHING, Best::nearer);
+        nearest.of_first.extend(of_first[..n_first].iter().map(best));
         nearest
+    }
+}
+
+/// Descriptors one after another; those that fill up are zero.
+fn by_feature(side: &Side, n: usize) -> Vec<[f32; LENGTH]> {
+    let filling = std::iter::repeat_n([0.0; LENGTH], n - side.len());
+    side.descriptors.iter().map(|d| d.map(f32::from)).chain(filling).collect()
+}
+
+/// Descriptors in panels of `width`, of each panel the first number of all, then the second of all, and so on.
+fn by_number(side: &Side, width: usize) -> Vec<f32> {
+    let mut found = vec![0.0; side.len().next_multiple_of(width) * LENGTH];
+    for (panel, own) in found.chunks_exact_mut(width * LENGTH).zip(side.descriptors.chunks(width)) {
+        for (k, numbers) in panel.chunks_exact_mut(width).enumerate() {
+            for (number, descriptor) in numbers.iter_mut().zip(own) {
+                *number = f32::from(descriptor[k]);
+            }
+        }
+    }
+    found
+}
+
+/// Squared lengths; those that fill up are infinitely far from all.
+fn lengths(side: &Side, n: usize) -> Vec<f32> {
+    let filling = std::iter::repeat_n(f32::INFINITY, n - side.len());
+    side.squared.iter().map(|&x| x as f32).chain(filling).collect()
+}
+
+/// Scalar products of a few features with a panel.
+#[inline(always)]
+fn products<S: pulp::Simd>(
+    simd: S,
+    rows: &[[f32; LENGTH]; ROWS],
+    panel: &[[S::f32s; COLUMNS]],
+) -> [[S::f32s; COLUMNS]; ROWS] {
+    let mut sums = [[simd.splat_f32s(0.0); COLUMNS]; ROWS];
+    for (k, numbers) in panel.iter().enumerate() {
+        for r in 0..ROWS {
+            let own = simd.splat_f32s(rows[r][k]);
+            for c in 0..COLUMNS {
+                sums[r][c] = simd.mul_add_e_f32s(own, numbers[c], sums[r][c]);
+            }
+        }
+    }
+    sums
+}
+
+/// [`Best`] of as many features as a register holds.
+#[derive(Clone, Copy)]
+struct Lanes<S: pulp::Simd> {
+    squared: S::f32s,
+    second: S::f32s,
+    index: S::u32s,
+}
+
+impl<S: pulp::Simd> Lanes<S> {
+    #[inline(always)]
+    fn nothing(simd: S) -> Self {
+        let far = simd.splat_f32s(f32::INFINITY);
+        Self { squared: far, second: far, index: simd.splat_u32s(NONE) }
+    }
+
+    #[inline(always)]
+    fn see(&mut self, simd: S, squared: S::f32s, index: S::u32s) {
+        let nearer = simd.less_than_f32s(squared, self.squared);
+        let farther = simd.select_f32s(nearer, self.squared, squared);
+        self.squared = simd.select_f32s(nearer, squared, self.squared);
+        self.index = simd.select_u32s(nearer, index, self.index);
+        self.second = simd.select_f32s(simd.less_than_f32s(farther, self.second), farther, self.second);
+    }
+
+    fn each(&self) -> impl Iterator<Item = Best> {
+        let [squared, second] = [&self.squared, &self.second].map(|x| cast_slice::<S::f32s, f32>(from_ref(x)));
+        let index = cast_slice::<S::u32s, u32>(from_ref(&self.index));
+        // what is infinite becomes the largest number
+        (0..S::F32_LANES).map(|l| Best { squared: squared[l] as i32, second: second[l] as i32, index: index[l] })
     }
 }
 
@@ -325,7 +433,7 @@ impl pulp::WithSimd for Exhaustive<'_> {
 struct Guided<'a> {
     first: &'a Side<'a>,
     second: &'a Side<'a>,
-    allowed: &'a Allowed<'a>,
+    allowed: &'a Allowed,
 }
 
 impl pulp::WithSimd for Guided<'_> {
@@ -340,7 +448,8 @@ impl pulp::WithSimd for Guided<'_> {
             self.allowed.list(bearing, &mut candidates);
             for &j in &candidates {
                 let at = j as usize;
-                let squared = first.squared[i] + second.squared[at] - 2 * product(&first.wide[i], &second.wide[at]);
+                let squared =
+                    first.squared[i] + second.squared[at] - 2 * product(&first.descriptors[i], &second.descriptors[at]);
                 nearest.of_first[i].see(squared, j);
                 nearest.of_second[at].see(squared, i as u32);
             }
@@ -350,7 +459,7 @@ impl pulp::WithSimd for Guided<'_> {
 }
 
 /// Features of the second image by where they are, and the test of the motion.
-struct Allowed<'a> {
+struct Allowed {
     second_from_first: Rotation<3>,
     /// In the frame of the second image.
     direction: Option<Vector<3>>,
@@ -358,16 +467,15 @@ struct Allowed<'a> {
     cos_radius: f64,
     band: f64,
     sin_band: f64,
-    bearings: &'a [Vector<3>],
     index: Index,
 }
 
-impl<'a> Allowed<'a> {
-    fn new(guide: &Guide, second: &Side<'a>) -> Self {
+impl Allowed {
+    fn new(guide: &Guide, second: &Side) -> Self {
         let direction = guide.direction.map(|e| guide.second_from_first.apply(&e));
         let band = guide.band_rad.min(FRAC_PI_2);
         let index = match direction {
-            Some(e) => Index::Meridians(Meridians::new(second.bearings, &e)),
+            Some(e) => Index::Meridians(Meridians::new(second.bearings, &e, band)),
             None => Index::Grid(Grid::new(second.bearings, 2.0 * (0.5 * guide.radius_rad).sin())),
         };
         Self {
@@ -377,7 +485,6 @@ impl<'a> Allowed<'a> {
             cos_radius: guide.radius_rad.cos(),
             band,
             sin_band: band.sin(),
-            bearings: second.bearings,
             index,
         }
     }
@@ -390,8 +497,7 @@ impl<'a> Allowed<'a> {
         }
         let q = self.second_from_first.apply(bearing);
         let circle = self.direction.and_then(|e| great_circle(&q, &e, self.sin_band));
-        let visit = |j: u32| {
-            let b = &self.bearings[j as usize];
+        let visit = |j: u32, b: &Vector<3>| {
             let on_path = circle.as_ref().is_none_or(|[normal, along, outward]| {
                 dot(normal, b).abs() <= self.sin_band
                     && dot(along, b) >= -self.sin_band
@@ -418,28 +524,39 @@ enum Index {
     Meridians(Meridians),
 }
 
-/// Rings about the direction of motion, from the pole that it points at to the other.
+/// Rings about the direction of motion, from the pole that it points at to the other, and parts of each by azimuth.
 const RINGS: usize = 36;
+const PARTS: usize = 256;
 
 /// Bearings by the ring that they are in, and within it by their azimuth about the direction of motion: great circles
 /// through the direction are meridians, and a band about one is a short range of every ring.
 struct Meridians {
     axes: [Vector<3>; 3],
-    /// Azimuth and feature, ascending.
-    rings: Vec<Vec<(f64, u32)>>,
+    /// By part of a ring.
+    listed: Listed,
+    /// Half the range of azimuths in each ring that lies in the band; none where it is about all of them.
+    half_widths: Vec<Option<f64>>,
 }
 
 impl Meridians {
-    fn new(bearings: &[Vector<3>], direction: &Vector<3>) -> Self {
+    fn new(bearings: &[Vector<3>], direction: &Vector<3>, band: f64) -> Self {
         let [x, y] = tangent_basis(direction);
-        let mut found = Self { axes: [x, y, *direction], rings: vec![Vec::new(); RINGS] };
-        for (j, b) in bearings.iter().enumerate().filter(|(_, b)| b.iter().all(|x| x.is_finite())) {
-            let (from_pole, azimuth) = found.polar(b);
-            found.rings[ring(from_pole)].push((azimuth, j as u32));
-        }
-        for ring in &mut found.rings {
-            ring.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        }
+        let half_width = |r: usize| {
+            let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
+            // nearer to a pole the band is about all meridians
+            (1.5 * band.sin() < thinnest).then(|| (band.sin() / thinnest).asin())
+        };
+        let mut found = Self {
+            axes: [x, y, *direction],
+            listed: Listed::default(),
+            half_widths: (0..RINGS).map(half_width).collect(),
+        };
+        let known = (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite()));
+        let place = |j: u32| {
+            let (from_pole, azimuth) = found.polar(&bearings[j as usize]);
+            (ring(from_pole) * PARTS + part(azimuth), j)
+        };
+        found.listed = Listed::new(RINGS * PARTS, &known.map(place).collect::<Vec<_>>(), bearings);
         found
     }
 
@@ -450,26 +567,65 @@ impl Meridians {
 
     /// Calls `visit` with all features that may be in the band about the meridian of `q`, up to `radius` from it; of all
     /// azimuths where `q` is at a pole.
-    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32)) {
+    fn near(&self, q: &Vector<3>, radius: f64, band: f64, at_pole: bool, mut visit: impl FnMut(u32, &Vector<3>)) {
         let (from_pole, azimuth) = self.polar(q);
         // points move away from the pole that the motion points at, but for the band: by its width in the plane, and by
         // at most three times that where it bends round the pole
         let first = from_pole - if at_pole { radius } else { radius.min(4.0 * band) };
         for r in ring(first)..=ring(from_pole + radius) {
-            let thinnest = (r as f64 * PI / RINGS as f64).sin().min(((r + 1) as f64 * PI / RINGS as f64).sin());
-            let (ring, sine) = (&self.rings[r], band.sin());
-            // nearer to a pole the band is about all meridians
-            if at_pole || 1.5 * sine >= thinnest {
-                ring.iter().for_each(|&(_, j)| visit(j));
+            let mut all_of = |parts: RangeInclusive<usize>| {
+                self.listed.visit(r * PARTS + parts.start()..r * PARTS + parts.end() + 1, &mut visit);
+            };
+            let Some(half) = self.half_widths[r].filter(|_| !at_pole) else {
+                all_of(0..=PARTS - 1);
                 continue;
-            }
-            let half = (sine / thinnest).asin();
-            for turn in [-2.0 * PI, 0.0, 2.0 * PI] {
-                let (low, high) = (azimuth - half + turn, azimuth + half + turn);
-                let begin = ring.partition_point(|entry| entry.0 < low);
-                ring[begin..].iter().take_while(|entry| entry.0 <= high).for_each(|&(_, j)| visit(j));
+            };
+            let (low, high) = (azimuth - half, azimuth + half);
+            all_of(part(low)..=part(high));
+            if low < -PI {
+                all_of(part(low + 2.0 * PI)..=PARTS - 1);
+            } else if high > PI {
+                all_of(0..=part(high - 2.0 * PI));
             }
         }
+    }
+}
+
+/// Part of a ring where an azimuth is; the nearest for those beyond half a turn.
+fn part(azimuth: f64) -> usize {
+    (((azimuth + PI) / (2.0 * PI) * PARTS as f64).max(0.0) as usize).min(PARTS - 1)
+}
+
+/// Features by the place that they are in, with their bearings.
+#[derive(Default)]
+struct Listed {
+    /// Where the features of each place begin.
+    starts: Vec<u32>,
+    features: Vec<(u32, Vector<3>)>,
+}
+
+impl Listed {
+    /// Sorts places below `n` and the features in them.
+    fn new(n: usize, placed: &[(usize, u32)], bearings: &[Vector<3>]) -> Self {
+        let mut starts = vec![0; n + 1];
+        for &(place, _) in placed {
+            starts[place + 1] += 1;
+        }
+        for k in 1..starts.len() {
+            starts[k] += starts[k - 1];
+        }
+        let (mut next, mut features) = (starts.clone(), vec![(0, [0.0; 3]); placed.len()]);
+        for &(place, j) in placed {
+            features[next[place] as usize] = (j, bearings[j as usize]);
+            next[place] += 1;
+        }
+        Self { starts, features }
+    }
+
+    /// Calls `visit` with the features of places that follow one another.
+    fn visit(&self, places: Range<usize>, visit: &mut impl FnMut(u32, &Vector<3>)) {
+        let features = self.starts[places.start] as usize..self.starts[places.end] as usize;
+        self.features[features].iter().for_each(|(j, b)| visit(*j, b));
     }
 }
 
@@ -489,43 +645,27 @@ fn great_circle(q: &Vector<3>, e: &Vector<3>, sin_band: f64) -> Option<[Vector<3
 /// Bearings sorted by the cube of space that they are in.
 struct Grid {
     n: usize,
-    /// Where the features of each cube begin.
-    starts: Vec<u32>,
-    features: Vec<u32>,
+    /// By cube.
+    listed: Listed,
 }
 
 impl Grid {
     fn new(bearings: &[Vector<3>], chord: f64) -> Self {
         let n = ((2.0 / chord).floor() as usize).clamp(1, MAX_CELLS);
-        let mut starts = vec![0; n * n * n + 1];
-        let known: Vec<u32> =
-            (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite())).collect();
-        let cube = |j: u32| index(n, bearings[j as usize].map(|x| cell(x, n)));
-        for &j in &known {
-            starts[cube(j) + 1] += 1;
-        }
-        for c in 1..starts.len() {
-            starts[c] += starts[c - 1];
-        }
-        let (mut next, mut features) = (starts.clone(), vec![0; known.len()]);
-        for &j in &known {
-            let place = &mut next[cube(j)];
-            features[*place as usize] = j;
-            *place += 1;
-        }
-        Self { n, starts, features }
+        let known = (0..bearings.len() as u32).filter(|&j| bearings[j as usize].iter().all(|x| x.is_finite()));
+        let place = |j: u32| (index(n, bearings[j as usize].map(|x| cell(x, n))), j);
+        Self { n, listed: Listed::new(n * n * n, &known.map(place).collect::<Vec<_>>(), bearings) }
     }
 
     /// Calls `visit` with the features of the cube of `q` and of those around it.
-    fn near(&self, q: &Vector<3>, mut visit: impl FnMut(u32)) {
+    fn near(&self, q: &Vector<3>, mut visit: impl FnMut(u32, &Vector<3>)) {
         let middle = q.map(|x| cell(x, self.n));
         let [low, high] = [middle.map(|c| c.saturating_sub(1)), middle.map(|c| (c + 1).min(self.n - 1))];
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 // cubes along z follow one another
-                let begin = self.starts[index(self.n, [x, y, low[2]])] as usize;
-                let end = self.starts[index(self.n, [x, y, high[2]]) + 1] as usize;
-                self.features[begin..end].iter().for_each(|&j| visit(j));
+                let [begin, end] = [low, high].map(|z| index(self.n, [x, y, z[2]]));
+                self.listed.visit(begin..end + 1, &mut visit);
             }
         }
     }

@@ -26,7 +26,7 @@ from panopath.errors import InputError, UndeterminedError
 from panopath.formats.colmap_model import EQUIRECTANGULAR_ID, Camera
 from panopath.formats.database import Database, database_of_features
 from panopath.frontend.extras import opencv
-from panopath.frontend.features import FeatureOptions, Features, extract_features
+from panopath.frontend.features import FeatureFinder, FeatureOptions, Features
 from panopath.frontend.fixed import FixedContent, FixedOptions, find_fixed, without_fixed
 from panopath.frontend.images import Gray, at_width, masks_of, positions_of, read_image, read_mask
 from panopath.frontend.matching import ImageMatches, MatchingOptions, match_images
@@ -34,6 +34,7 @@ from panopath.frontend.moments import SMALL_RIG_M, match_moments
 from panopath.frontend.sources import Source, SourceKind
 from panopath.frontend.stored import Looked, Store, key_of_masks, key_of_source
 from panopath.frontend.video import (
+    DecodedFrames,
     VideoKind,
     VideoMotion,
     VideoOptions,
@@ -153,16 +154,16 @@ def measure(
     say = report or (lambda _stage, _done, _of: None)
     seconds: dict[str, float] = {}
     key = key_of_source(source)
-    motion, keyframes = None, None
+    motion, keyframes, pts, decoded = None, None, None, DecodedFrames()
     if source.kind is SourceKind.VIDEO:
         begin = time.perf_counter()
         key = key_of(key, chosen.video)
-        motion = _moving(source, chosen, Store(store, key), say)
-        keyframes = choose_keyframes(motion, chosen.video)
+        motion = _moving(source, chosen, Store(store, key), say, decoded)
+        keyframes, pts = choose_keyframes(motion, chosen.video), motion.pts
         seconds["motion"] = time.perf_counter() - begin
     begin = time.perf_counter()
     key = key_of(key, chosen.width, chosen.features, key_of_masks(masks), color)
-    looked = _look(_Look(source, keyframes, chosen, masks, color), Store(store, key), say, each)
+    looked = _look(_Look(source, keyframes, pts, decoded, chosen, masks, color), Store(store, key), say, each)
     seconds["features"] = time.perf_counter() - begin
     features = [one.features for one in looked]
     empty = tuple(one.name for one in looked if len(one.features) < _FEWEST)
@@ -182,7 +183,8 @@ def measure(
     say("matching", 0, 0)
     fixed: tuple[FixedContent, ...] = ()
     if chosen.find_fixed:
-        fixed = _fixed(full, rays, camera_of, pixel_rad, chosen)
+        seed = chosen.matching.seed
+        fixed = Store(store, key_of(key, seed)).fixed(lambda: _fixed(full, rays, camera_of, pixel_rad, seed))
         full = [without_fixed(found, ray, fixed[c]) for found, ray, c in zip(full, rays, camera_of, strict=True)]
         rays = [_rays(cameras[c], found) for c, found in zip(camera_of, full, strict=True)]
     key = key_of(key, chosen.matching, chosen.in_sequence, chosen.find_fixed)
@@ -221,6 +223,9 @@ class _Look:
 
     source: Source
     keyframes: Index | None
+    #: Time stamps of all frames of a video, where they tell them apart.
+    pts: Index | None
+    decoded: DecodedFrames
     options: FrontEndOptions
     masks: Path | None
     color: bool
@@ -241,8 +246,10 @@ def _look(
     done = len(look) - len(missing)
     say("features", done, len(look))
 
+    find = FeatureFinder(look.options.features, equirectangular=look.source.is_panoramic)
+
     def extract(picture: Picture, mask: Bool | None) -> Features:
-        own = extract_features(picture.gray, look.options.features, mask=mask, equirectangular=look.source.is_panoramic)
+        own = find(picture.gray, mask)
         return own if picture.color is None else replace(own, color=_colors(own, picture.gray, picture.color))
 
     for picture, features in _in_parallel(_pictures(look, missing), extract):
@@ -290,11 +297,17 @@ def _in_parallel(
 
 
 def _moving(
-    source: Source, options: FrontEndOptions, store: Store, say: Callable[[str, int, int], None]
+    source: Source,
+    options: FrontEndOptions,
+    store: Store,
+    say: Callable[[str, int, int], None],
+    decoded: DecodedFrames,
 ) -> VideoMotion:
     """How the camera moved, where it did."""
     n = source.video.n_frames if source.video is not None else 0
-    motion = store.motion(lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n)))
+    motion = store.motion(
+        lambda: video_motion(source.path, options.video, lambda done: say("motion", done, n), decoded=decoded)
+    )
     if motion.kind is not VideoKind.MOVING:
         raise UndeterminedError(f"{source.path}: {_NOT_DETERMINED[motion.kind]}")
     return motion
@@ -307,7 +320,14 @@ def _pictures(look: _Look, wanted: Sequence[int]) -> Iterator[tuple[Picture, Boo
         own = min(width, source.cameras[0].width) // 2 * 2
         check_masks(source, look.masks)
         mask = None if look.masks is None else read_mask(look.masks)
-        frames = read_frames(source.path, look.keyframes[list(wanted)].tolist(), own, color=look.color)
+        frames = read_frames(
+            source.path,
+            look.keyframes[list(wanted)].tolist(),
+            own,
+            color=look.color,
+            pts=look.pts,
+            decoded=look.decoded,
+        )
         for k, frame in zip(wanted, frames, strict=True):
             yield Picture(k, f"frame_{frame.index:06d}.jpg", frame.gray, frame.color, frame.time_s), mask
         return
@@ -382,14 +402,13 @@ def _with_bearings(camera: Camera, found: Features) -> Features:
 
 
 def _fixed(
-    features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], options: FrontEndOptions
+    features: list[Features], rays: list[Float], camera_of: Int, pixel_rad: list[float], seed: int
 ) -> tuple[FixedContent, ...]:
     """Find what is fixed to each camera."""
     found = []
     for camera, angle in enumerate(pixel_rad):
         own = np.flatnonzero(camera_of == camera).tolist()
-        sought = FixedOptions(seed=options.matching.seed)
-        found.append(find_fixed([features[k] for k in own], [rays[k] for k in own], angle, sought))
+        found.append(find_fixed([features[k] for k in own], [rays[k] for k in own], angle, FixedOptions(seed=seed)))
     return tuple(found)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from panopath.checkpoints import Arrays, Checkpoints, key_of, key_of_file
 from panopath.frontend.features import Features
+from panopath.frontend.fixed import FixedContent
 from panopath.frontend.images import image_files
 from panopath.frontend.matching import ImageMatches
 from panopath.frontend.sources import Source
@@ -63,6 +64,26 @@ class Store:
             self.write("motion", _arrays(motion))
             return motion
         return VideoMotion(**arrays | {"n_corrupt": int(arrays["n_corrupt"]), "kind": VideoKind(str(arrays["kind"]))})
+
+    def fixed(self, make: Callable[[], tuple[FixedContent, ...]]) -> tuple[FixedContent, ...]:
+        """Give what goes with each camera, found where it is not there."""
+        arrays: dict[str, Any] | None = self.read("fixed")
+        if arrays is None:
+            found = make()
+            every = [_arrays(content) for content in found]
+            self.write("fixed", {name: np.stack([one[name] for one in every]) for name in every[0]})
+            return found
+        return tuple(
+            FixedContent(
+                cell_rad=float(arrays["cell_rad"][k]),
+                is_fixed=arrays["is_fixed"][k],
+                n_tried=arrays["n_tried"][k],
+                n_stayed=arrays["n_stayed"][k],
+                share=float(arrays["share"][k]),
+                refused_share=float(arrays["refused_share"][k]),
+            )
+            for k in range(len(arrays["share"]))
+        )
 
     def matches(self, make: Callable[[], ImageMatches]) -> ImageMatches:
         """Give the matches, made where they are not there."""

@@ -6,13 +6,16 @@ parallax. Where it has grown enough, the next reference begins. This drifts, and
 new keyframes are worth their time, and what kind of video this is.
 
 The video is decoded twice, first small and whole, then the keyframes at the working resolution; one frame is in memory.
+The second pass leaves out what is not asked for and no other frame needs, where the codec says so; a short video needs
+none, since its frames stay in memory until the keyframes are chosen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
@@ -47,6 +50,13 @@ _MOST_ELEVATION_RAD = float(np.radians(60.0))
 #: Formats of frames whose first plane is the brightness, a byte a pixel; FFmpeg's number of the full range of it.
 _BRIGHTNESS_FIRST = {"yuv420p", "yuv422p", "yuv444p", "yuvj420p", "yuvj422p", "yuvj444p", "nv12", "gray"}
 _FULL_RANGE = 2
+#: Small frames made before they are asked for: some take longer to decode than others.
+_AHEAD = 6
+#: Bytes of decoded frames that may stay in memory.
+_MOST_KEPT = 400_000_000
+#: Codecs in which a frame that is marked as no reference is needed by no other, whatever the encoder. (HEVC is none of
+#: them: there the mark is about frames of the same temporal layer.)
+_TELLS_REFERENCES = {"h264", "mpeg2video", "mpeg4"}
 _FULL_FROM_LIMITED = np.clip(np.rint((np.arange(256) - 16.0) * (255.0 / 219.0)), 0.0, 255.0).astype(np.uint8)
 
 
@@ -120,10 +130,14 @@ class VideoMotion:
     #: Packets or frames that could not be decoded.
     n_corrupt: int
     kind: VideoKind
+    #: (F,) time stamps in units of the file, ascending; None where they are not, or not all frames could be decoded.
+    pts: Index | None = None
 
     def __post_init__(self) -> None:
         for name in ("time_s", "cam_from_first", "travelled_rad", "sharpness", "brightness", "lost"):
             read_only(getattr(self, name))
+        if self.pts is not None:
+            read_only(self.pts)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -196,16 +210,23 @@ def _has_no_index(path: Path) -> bool:
     return kinds[:1] == [b"ftyp"] and b"moov" not in kinds
 
 
-def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[Any]:
-    """Yield the frames that can be decoded, in their order."""
+def _frames(
+    path: Path, damaged: Callable[[], None] | None = None, wanted: Collection[int] | None = None
+) -> Iterator[Any]:
+    """Yield the frames that can be decoded, in their order; of those not ``wanted``, by time stamp, perhaps not all."""
     error_type = pyav().error.FFmpegError
     with _open(path) as (container, stream):
         packets = container.demux(stream)
+        context = stream.codec_context
+        spares = wanted is not None and context.name in _TELLS_REFERENCES
         while True:
             try:
                 packet = next(packets, None)
                 if packet is None:
                     return
+                if spares and wanted is not None:
+                    is_wanted = packet.pts is None or packet.pts in wanted
+                    context.skip_frame = "DEFAULT" if is_wanted else "NONREF"
                 frames = packet.decode()
             except error_type:
                 # a damaged packet costs its frames, not the video
@@ -220,13 +241,35 @@ def _frames(path: Path, damaged: Callable[[], None] | None = None) -> Iterator[A
                     yield frame
 
 
+class DecodedFrames:
+    """All frames of a short video, so that none is decoded twice; of a longer one none."""
+
+    def __init__(self, most_bytes: int = _MOST_KEPT) -> None:
+        self._left = most_bytes
+        self._frames: dict[int, Any] = {}
+
+    def keep(self, frame: Any) -> None:
+        """Keep the next frame, if there is room for all."""
+        self._left -= sum(plane.buffer_size for plane in frame.planes)
+        if self._left >= 0:
+            self._frames[len(self._frames)] = frame
+        else:
+            self._frames.clear()
+
+    def pop(self, index: int) -> Any | None:
+        """Hand out a frame, and let go of those before it."""
+        for k in [k for k in self._frames if k < index]:
+            del self._frames[k]
+        return self._frames.pop(index, None)
+
+
 def _ahead(items: Iterator[_Item]) -> Iterator[_Item]:
-    """Yield the items, while a thread makes the next one: decoding and what follows share two processors."""
+    """Yield the items, while a thread makes the next ones: decoding and what follows share two processors."""
     end = object()
     with ThreadPoolExecutor(1) as pool:
-        following: Future[Any] = pool.submit(next, items, end)
-        while (item := following.result()) is not end:
-            following = pool.submit(next, items, end)
+        following: deque[Future[Any]] = deque(pool.submit(next, items, end) for _ in range(_AHEAD))
+        while (item := following.popleft().result()) is not end:
+            following.append(pool.submit(next, items, end))
             yield item
 
 
@@ -248,7 +291,11 @@ def _is_full_range(frame: Any) -> bool:
 
 
 def video_motion(
-    path: Path, options: VideoOptions | None = None, report: Callable[[int], None] | None = None
+    path: Path,
+    options: VideoOptions | None = None,
+    report: Callable[[int], None] | None = None,
+    *,
+    decoded: DecodedFrames | None = None,
 ) -> VideoMotion:
     """Follow points through a 360 video.
 
@@ -260,6 +307,8 @@ def video_motion(
         Choices; default ``VideoOptions()``.
     report
         Called with the number of frames seen so far.
+    decoded
+        Where to keep the frames, for :func:`read_frames`.
 
     Raises
     ------
@@ -274,19 +323,30 @@ def video_motion(
 
     width = chosen.motion_width
 
-    def small() -> Iterator[tuple[float | None, Gray]]:
+    def small() -> Iterator[tuple[float | None, int | None, Gray]]:
         for frame in _frames(path, damaged):
-            yield frame.time, _gray(frame, width)
+            if decoded is not None:
+                decoded.keep(frame)
+            yield frame.time, frame.pts, _gray(frame, width)
 
-    follower, times = _Follower(width), []
-    for k, (time, picture) in enumerate(_ahead(small())):
+    follower, times, stamps = _Follower(width), [], []
+    for k, (time, stamp, picture) in enumerate(_ahead(small())):
         times.append(float(k) if time is None else float(time))
+        stamps.append(stamp)
         follower.see(picture)
         if report is not None:
             report(k + 1)
     if not times:
         raise InputError(f"{path}: no frame of it can be decoded")
-    return follower.motion(np.array(times), counter["corrupt"])
+    return replace(
+        follower.motion(np.array(times), counter["corrupt"]), pts=None if counter["corrupt"] else _ascending(stamps)
+    )
+
+
+def _ascending(stamps: Sequence[int | None]) -> Index | None:
+    """Time stamps as an array, where all are there and ascend, so that each means one frame."""
+    known = np.array([stamp for stamp in stamps if stamp is not None], dtype=np.int64)
+    return known if len(known) == len(stamps) and bool((np.diff(known) > 0).all()) else None
 
 
 class _Follower:
@@ -310,7 +370,7 @@ class _Follower:
         """Take the next frame."""
         cv2 = opencv()
         padded = np.concatenate((small[:, -_PAD:], small, small[:, :_PAD]), axis=1)
-        self._sharpness.append(float(cv2.Laplacian(small, cv2.CV_32F).var()))
+        self._sharpness.append(float(cv2.meanStdDev(cv2.Laplacian(small, cv2.CV_32F))[1].item() ** 2))
         self._brightness.append(float(small.mean()))
         if self._before is None:
             rotation, parallax, lost = np.eye(3), 0.0, False
@@ -451,24 +511,62 @@ class VideoFrame:
     color: Gray | None
 
 
-def read_frames(path: Path, indices: Sequence[int], width: int, *, color: bool = False) -> Iterator[VideoFrame]:
+def read_frames(
+    path: Path,
+    indices: Sequence[int],
+    width: int,
+    *,
+    color: bool = False,
+    pts: Index | None = None,
+    decoded: DecodedFrames | None = None,
+) -> Iterator[VideoFrame]:
     """Yield the frames of ascending ``indices`` (counted over those that can be decoded), ``width // 2`` high.
+
+    Parameters
+    ----------
+    path
+        The file.
+    indices
+        Which frames.
+    width
+        Pixels of the brightness.
+    color
+        Whether frames have colours too.
+    pts
+        (F,) time stamps of all frames, ascending, where known: then many of the others need not be decoded. The frames
+        are the same.
+    decoded
+        Frames that are in memory.
 
     Raises
     ------
     InputError
         Where there are not so many.
     """
-    wanted = iter(indices)
-    following = next(wanted, None)
-    for k, frame in enumerate(_frames(path)):
-        if following is None:
-            return
-        if k != int(following):
-            continue
-        following = next(wanted, None)
-        gray = _gray(frame, width)
+    left = deque(int(k) for k in indices)
+
+    def seen(frame: Any) -> VideoFrame:
+        index = left.popleft()
         rgb = np.ascontiguousarray(frame.reformat(format="rgb24").to_ndarray()) if color else None
-        yield VideoFrame(k, float(frame.time) if frame.time is not None else float(k), gray, rgb)
-    if following is not None:
-        raise InputError(f"{path}: frame {following} cannot be read any more; was the file changed?")
+        return VideoFrame(index, float(index if frame.time is None else frame.time), _gray(frame, width), rgb)
+
+    while decoded is not None and left and (known := decoded.pop(left[0])) is not None:
+        yield seen(known)
+    if pts is not None and left and left[-1] < len(pts):
+        stamps = dict(zip(pts[list(left)].tolist(), left, strict=True))
+        for frame in _frames(path, wanted=stamps):
+            if frame.pts not in stamps:
+                continue
+            if stamps[frame.pts] != left[0]:
+                break
+            yield seen(frame)
+            if not left:
+                return
+    # by counting, where there are no stamps, or they are not those of the packets
+    for k, frame in enumerate(_frames(path) if left else ()):
+        if k == left[0]:
+            yield seen(frame)
+            if not left:
+                return
+    if left:
+        raise InputError(f"{path}: frame {left[0]} cannot be read any more; was the file changed?")
