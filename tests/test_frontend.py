@@ -14,7 +14,7 @@ import pytest
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
 from panopath.checkpoints import Checkpoints
 from panopath.mapping import MapOptions, map_database
-from panopath.model import InputError
+from panopath.errors import InputError
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra images")
 pytest.importorskip("PIL", reason="needs the extra images")
