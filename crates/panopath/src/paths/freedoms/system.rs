@@ -215,11 +215,20 @@ impl<'a, const D: usize> System<'a, D> {
         ((0..n).map(squared).sum::<f64>() / (2 * n) as f64).sqrt()
     }
 
+    /// By how much a ray turns, its weight included.
+    #[inline]
+    fn turned(&self, step: &[f64], o: usize) -> Vector<D> {
+        let x = self.across(step, o);
+        let along = dot(&self.part.ray[o], &x);
+        let gain = self.part.gain[o];
+        std::array::from_fn(|c| gain * (x[c] - along * self.part.ray[o][c]))
+    }
+
     /// Energy of a displacement.
     pub fn energy(&self, step: &[f64]) -> f64 {
         let one = |o: usize| {
-            let across = self.across(step, o);
-            dot(&across, &self.part.resist(o, &across))
+            let turned = self.turned(step, o);
+            dot(&turned, &turned)
         };
         (0..self.part.n_observations()).map(one).sum()
     }
@@ -250,12 +259,7 @@ impl<'a, const D: usize> System<'a, D> {
 
     /// Inner products of displacements in the energy.
     fn gram(&self, basis: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        self.products(basis, |step, o| {
-            let x = self.across(step, o);
-            let along = dot(&self.part.ray[o], &x);
-            let gain = self.part.gain[o];
-            std::array::from_fn(|c| gain * (x[c] - along * self.part.ray[o][c]))
-        })
+        self.products(basis, |step, o| self.turned(step, o))
     }
 
     /// Inner products, over all observations, of a vector that each displacement has there.
