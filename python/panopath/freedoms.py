@@ -142,7 +142,7 @@ class PathCertificate:
     dimension: Int
     #: (n_tracks,) track that each hides behind, -1 = none.
     hidden_by: Int
-    #: (n_tracks,) rms movement of each path at one standard deviation along its weakest mode, as a share of its distance.
+    #: (n_tracks,) rms movement of each path at one standard deviation along its weakest mode, over its distance.
     movement: Float
     #: (n_tracks,) rms of the part of the camera's way, across the rays, that the functions cannot express.
     camera_part: Float
@@ -161,13 +161,13 @@ class PathCertificate:
         return f"PathCertificate(nullity {self.nullity}, gauge {self.gauge_freedoms})"
 
     def __str__(self) -> str:
-        """The verdict in one sentence."""
+        """Tell the verdict in one sentence."""
         return sentence(self)
 
     @property
     def extra(self) -> int:
-        """Freedoms beyond the gauge."""
-        return self.nullity - self.gauge_freedoms
+        """Freedoms beyond the gauge; 0 too where no observation counts."""
+        return max(self.nullity - self.gauge_freedoms, 0)
 
     @property
     def is_determined(self) -> bool:

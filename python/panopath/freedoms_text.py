@@ -82,12 +82,14 @@ def _disconnected(_freedom: Freedom, _names: Names) -> str:
 
 
 def _common(freedom: Freedom, _names: Names) -> str:
-    return f"everything, cameras and all, may share a motion {_in_time(freedom)} because no track is known to be without it"
+    why = "no track is known to be without it"
+    return f"everything, cameras and all, may share a motion {_in_time(freedom)} because {why}"
 
 
 def _scale(freedom: Freedom, names: Names) -> str:
     about = f" about {names.of_points(freedom.tracks)}" if len(freedom.tracks) else ""
-    return f"everything may be multiplied by a scale {_in_time(freedom)}{about} because no motion of a track speaks against it"
+    why = "no motion of a track speaks against it"
+    return f"everything may be multiplied by a scale {_in_time(freedom)}{about} because {why}"
 
 
 def _imitated(freedom: Freedom, names: Names) -> str:
@@ -128,8 +130,8 @@ def _loose_track(freedom: Freedom, names: Names) -> str:
 
 
 def _loose_view(freedom: Freedom, names: Names) -> str:
-    is_one = len(freedom.views) == 1
-    return f"{names.of_views(freedom.views)} may slide because all that {'it sees is on one line with it' if is_one else 'each sees is on one line with it'}"
+    sees = "it sees is on one line with it" if len(freedom.views) == 1 else "each sees is on one line with it"
+    return f"{names.of_views(freedom.views)} may slide because all that {sees}"
 
 
 def _loose_set(freedom: Freedom, names: Names) -> str:

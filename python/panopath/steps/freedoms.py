@@ -111,7 +111,7 @@ _BY_TRACK = ("is_exact", "dimension", "hidden_by", "movement", "camera_part", "n
 
 
 def _sigmas(tracks: Tracks, scene: Scene, options: FreedomOptions) -> tuple[Float | None, float]:
-    """Standard deviations of single observations where there are any, and of all."""
+    """Find standard deviations of single observations where there are any, and one for all."""
     if options.sigma_rad is not None:
         return None, float(options.sigma_rad)
     if tracks.sigma_rad is not None:

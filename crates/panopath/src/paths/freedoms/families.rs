@@ -60,7 +60,12 @@ pub(super) fn of_part<const D: usize>(part: &Part<D>, forms: &[Form]) -> Vec<Fam
         families.push(Family { name: TimeFunction::SplineOf(track), functions });
     }
     // a view without a time sees points at rest alone
-    families.iter_mut().flat_map(|family| &mut family.functions).flatten().filter(|x| x.is_nan()).for_each(|x| *x = 0.0);
+    families
+        .iter_mut()
+        .flat_map(|family| &mut family.functions)
+        .flatten()
+        .filter(|x| x.is_nan())
+        .for_each(|x| *x = 0.0);
     let mut count = 0;
     families.retain(|family| {
         count += family.functions.len();

@@ -530,26 +530,31 @@ impl<const D: usize> Teller<'_, D> {
         if part.sigma <= 0.0 {
             return false;
         }
-        let (mut spread, mut of_refused, mut moved) = (0.0, 0.0, 0.0);
+        // an exact freedom, seen where noise has put all, costs what these errors turn the stretched segments
+        let (mut expected, mut of_refused, mut moved) = (0.0, 0.0, 0.0);
         for (j, &id) in part.tracks.iter().enumerate() {
-            let rates: Vec<f64> =
-                part.observations(j).map(|o| stretch(part, o, &system.across(&mode.step, o))).collect();
-            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
-            let weights = part.observations(j).map(|o| part.gain[o] * part.length[o]);
-            spread += rates.iter().zip(weights).map(|(rate, w)| (w * (rate - mean)).powi(2)).sum::<f64>();
             let own: f64 = part.observations(j).map(|o| norm(&system.path_shift(&mode.step, o)).powi(2)).sum();
             let views: f64 = part.observations(j).map(|o| norm(&system.view_shift(&mode.step, o)).powi(2)).sum();
             moved += own + views;
             if reaches[id as usize].dimension > 0 {
                 of_refused += own;
+                continue;
+            }
+            let rates: Vec<f64> =
+                part.observations(j).map(|o| stretch(part, o, &system.across(&mode.step, o))).collect();
+            // a scale of its own leaves the rays of one track exact
+            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+            for (a, (o, rate)) in part.observations(j).zip(rates).enumerate() {
+                let of_view = system.views[part.node[o] as usize].variance_across(&part.ray[o]);
+                let of_track = system.tracks[j].variance_across(&part.ray[o], a);
+                expected += (part.gain[o] * (rate - mean)).powi(2) * (of_view + of_track);
             }
         }
         if of_refused > OF_REFUSED * moved {
             return false;
         }
         let energy = mode.value * mode.value * part.n_observations() as f64;
-        let noise = NOISE_MULTIPLE * (D - 1) as f64 * part.sigma * part.sigma * spread;
-        self.movement(mode) > LOOSE_MOVEMENT || energy < noise
+        self.movement(mode) > LOOSE_MOVEMENT || energy < NOISE_MULTIPLE * part.sigma * part.sigma * expected
     }
 }
 

@@ -60,6 +60,15 @@ impl<const D: usize> Held<D> {
             .fold([0.0; D], |sum, k| add(&sum, &scale(dot(&self.vectors[k], x) / self.values[k], &self.vectors[k])))
     }
 
+    /// Variance across a ray at one radian of noise, the tracks held.
+    pub fn variance_across(&self, ray: &Vector<D>) -> f64 {
+        let across = |c: usize| -> f64 {
+            let axis: Vector<D> = std::array::from_fn(|r| f64::from(u8::from(r == c)) - ray[c] * ray[r]);
+            dot(&axis, &self.inverse_times(&axis))
+        };
+        (0..D).map(across).sum()
+    }
+
     /// Directions that are free.
     pub fn free(&self) -> impl Iterator<Item = &Vector<D>> {
         self.vectors[..self.loose].iter()
