@@ -47,7 +47,7 @@ class World:
         view, track = self.pairs
         return np.asarray(place[track, view] - centers[view])
 
-    def ask(self, sigma_rad: float = 0.0, **options: Any) -> pp.PathCertificate:
+    def ask(self, sigma_rad: float = 0.0, count: bool = True, **options: Any) -> pp.PathCertificate:
         """Certify it."""
         view, track = self.pairs
         flat = np.concatenate(self.coefficients)
@@ -56,7 +56,7 @@ class World:
         known = np.isfinite(length[:, 0])
         d, n, m = self.centers.shape[1], len(self.models), len(self.centers)
         bearing = np.where(known[:, None], segments / length, np.eye(d)[0])
-        tracks = pp.Tracks(view=view, track=track, bearing=bearing, n_views=m, n_tracks=n, time_s=self.time_s)
+        tracks = pp.Tracks.from_arrays(view=view, track=track, bearing=bearing, n_views=m, n_tracks=n, time_s=self.time_s)
         nowhere = np.full((n, d), np.nan)
         paths = pp.Paths(
             models=self.models,
@@ -73,7 +73,7 @@ class World:
             points=nowhere,
             view_component=np.zeros(m),
             track_component=np.zeros(n),
-            inlier=np.ones(len(view), dtype=np.bool_),
+            inlier=np.full(len(view), count),
             residual_rad=np.zeros(len(view)),
             cam_from_world=np.zeros(m) if d == 2 else np.tile(np.eye(3), (m, 1, 1)),
             summary=pp.Summary(status=pp.Status.CONVERGED, iterations=0, sigma_rad=float("nan")),
@@ -94,7 +94,7 @@ class World:
         for j, model in enumerate(self.models):
             mine = np.flatnonzero(track == j)
             functions = pp.paths.path_functions(model, self.time_s[view[mine]])
-            rows[mine, :, starts[j] : starts[j + 1]] = np.einsum("nk,nrc->nrkc", functions, across[mine])
+            rows[mine, :, m + starts[j] : m + starts[j + 1]] = np.einsum("nk,nrc->nrkc", functions, across[mine])
         matrix = rows.reshape(len(view) * d, -1)
         size = np.linalg.norm(matrix, axis=0)
         matrix = matrix[:, size > 0.0] / size[size > 0.0]
@@ -395,7 +395,7 @@ def test_words() -> None:
     found = world(3, [WAVE] * 8, 20).ask()
     assert found.words() == (
         "everything, cameras and all, may share a motion in time of period 6.981 s because no track is known to be "
-        "without it (3 freedoms)",
+        "without it (6 freedoms)",
     )
     assert len(found.explain()) == 3
 
@@ -418,8 +418,7 @@ def test_what_is_not_known_is_passed_over() -> None:
     found = of.ask()
     assert found.nullity == 4
     assert [track for track, reach in enumerate(found.reaches) if reach is pp.Reach.NOT_SEEN] == [5]
-    of.seen[:] = False
-    found = of.ask()
+    found = of.ask(count=False)
     assert (found.nullity, found.extra, found.freedoms) == (0, 0, ())
     one = world(3, [LINE])
     one.seen[1:] = False
