@@ -56,7 +56,9 @@ class World:
         known = np.isfinite(length[:, 0])
         d, n, m = self.centers.shape[1], len(self.models), len(self.centers)
         bearing = np.where(known[:, None], segments / length, np.eye(d)[0])
-        tracks = pp.Tracks.from_arrays(view=view, track=track, bearing=bearing, n_views=m, n_tracks=n, time_s=self.time_s)
+        tracks = pp.Tracks.from_arrays(
+            view=view, track=track, bearing=bearing, n_views=m, n_tracks=n, time_s=self.time_s
+        )
         nowhere = np.full((n, d), np.nan)
         paths = pp.Paths(
             models=self.models,
@@ -71,8 +73,8 @@ class World:
         scene = pp.Scene(
             centers=self.centers,
             points=nowhere,
-            view_component=np.zeros(m),
-            track_component=np.zeros(n),
+            view_component=np.zeros(m, dtype=np.int32),
+            track_component=np.zeros(n, dtype=np.int32),
             inlier=np.full(len(view), count),
             residual_rad=np.zeros(len(view)),
             cam_from_world=np.zeros(m) if d == 2 else np.tile(np.eye(3), (m, 1, 1)),
@@ -126,7 +128,7 @@ def world(  # noqa: PLR0917
 
 def along(direction: Sequence[float]) -> Callable[[Float], Float]:
     """Go straight on at constant speed."""
-    return lambda time_s: 1.0 + np.outer(time_s, direction)
+    return lambda time_s: np.asarray(1.0 + np.outer(time_s, direction))
 
 
 def noisy(of: World, sigma: float, seed: int = 3) -> World:
@@ -163,7 +165,7 @@ def check(of: World, found: pp.PathCertificate) -> None:
             assert np.abs(sideways).max() < 1e-6
 
 
-FORMS = {
+FORMS: dict[str, tuple[PathModel, int]] = {
     "taylor:1": (LINE, 1),
     "taylor:2": (PARABOLA, 2),
     "taylor:3": (CUBIC, 3),
@@ -321,7 +323,8 @@ def test_what_noise_leaves_free_has_the_same_names(d: int, sigma: float) -> None
     assert "as far as noise tells" in straight.track_words(30)
 
     def swinging(time_s: Float) -> Float:
-        return along([0.3, 0.5, -0.2][:d])(time_s) + 0.5 * np.sin(np.outer(time_s, [1.0, 2.0, 3.0][:d]))
+        sway = 0.5 * np.sin(np.outer(time_s, [1.0, 2.0, 3.0][:d]))
+        return np.asarray(along([0.3, 0.5, -0.2][:d])(time_s) + sway)
 
     swings = noisy(world(d, road, 40, center=swinging), sigma).ask(sigma)
     assert swings.is_determined
@@ -355,11 +358,13 @@ def test_counting_agrees_with_ranks_where_points_move_in_different_ways(d: int) 
         forms = [form for n, k in groups for form in [(pp.Static(), LINE, PARABOLA)[k]] * n]
         for m in range(2, 14):
             row, found = model.mixed(counted, m), world(d, forms, m, seed=m).ask()
-            shared = d * (shared_functions(counted) - 1)
+            assert row.g == d + 1 + d * (shared_functions(counted) - 1)
             assert (found.equations, found.unknowns) == (row.equations, row.unknowns + row.g)
             free = found.nullity - row.g
-            assert row.g == d + 1 + shared
-            assert free == max(0, -row.slack), (groups, m)
+            assert free >= -row.slack
+            # a point that has fewer equations than vectors moves by itself, whatever the sum of all
+            if (d - 1) * m >= d * row.vectors:
+                assert free == max(0, -row.slack), (groups, m)
 
 
 def test_shared_functions_are_those_that_every_group_has() -> None:
