@@ -27,6 +27,7 @@ from panopath.formats import (
     write_scene,
     write_tracks,
 )
+from panopath.freedoms import Freedom, FreedomKind, PathCertificate, Reach
 from panopath.mapping import MapOptions, MappedDatabase, map_database
 from panopath.model import Control, PositionOptions, Problem, Scene, Status, Summary, Tracks
 from panopath.paths import Fourier, Motion, PathModel, Paths, PathVerdict, Spline, Static, Taylor
@@ -38,6 +39,7 @@ from panopath.steps import (
     ConsistencyOptions,
     CorrespondenceOptions,
     FeatureTracks,
+    FreedomOptions,
     FullVisibility,
     HeadingOptions,
     Headings,
@@ -55,6 +57,7 @@ from panopath.steps import (
     ViewPairs,
     average_rotations,
     certify,
+    certify_paths,
     check_consistency,
     find_headings,
     fit_rotations,
@@ -89,6 +92,9 @@ __all__ = [
     "Evaluation",
     "FeatureTracks",
     "Fourier",
+    "Freedom",
+    "FreedomKind",
+    "FreedomOptions",
     "FullVisibility",
     "HeadingOptions",
     "HeadingPriors",
@@ -103,6 +109,7 @@ __all__ = [
     "OrientationOptions",
     "Orientations",
     "PanopathError",
+    "PathCertificate",
     "PathModel",
     "PathVerdict",
     "Paths",
@@ -110,6 +117,7 @@ __all__ = [
     "PositionPriors",
     "Priors",
     "Problem",
+    "Reach",
     "ReconstructOptions",
     "Reconstructed",
     "Reconstruction",
@@ -142,6 +150,7 @@ __all__ = [
     "__version__",
     "average_rotations",
     "certify",
+    "certify_paths",
     "check_consistency",
     "evaluate",
     "find_headings",

@@ -24,6 +24,7 @@ __all__ = [
     "cylindrical_from_bearings",
     "equirectangular_from_bearings",
     "fit_rotations",
+    "freedoms_of_paths",
     "full_visibility",
     "match_features",
     "matches_that_agree",
@@ -69,6 +70,13 @@ def average_rotations(
     n_views: int,
     sigma_rad: npt.NDArray[np.float64],
     priors: list[tuple[Any, ...]],
+    options: Mapping[str, Any],
+) -> dict[str, Any]: ...
+def freedoms_of_paths(
+    observations: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float64] | None],
+    scene: tuple[
+        npt.NDArray[np.float64], npt.NDArray[np.float64], list[tuple[str, int, list[float]]], npt.NDArray[np.float64]
+    ],
     options: Mapping[str, Any],
 ) -> dict[str, Any]: ...
 def path_functions(

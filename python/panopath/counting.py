@@ -52,6 +52,16 @@ class CameraCounts(NamedTuple):
     h: int
 
 
+class PathGroup(NamedTuple):
+    """Points whose paths have one form: at rest, or as :func:`path_vectors` counts them."""
+
+    #: How many.
+    n: int
+    #: Order of their paths.
+    k: int = 0
+    basis: PathBasis = None
+
+
 class PointsAndViews(NamedTuple):
     """A number of points and a number of views."""
 
@@ -109,6 +119,19 @@ class StructureFromMotionInequality:
         verdict = "too few equations" if not self.holds else "as many" if self.slack == 0 else f"{self.slack} to spare"
         counted = f"{_plural(self.n, 'point')}, {_plural(self.m, 'view')}: {_plural(self.equations, 'equation')}"
         return f"{counted}, {_plural(self.unknowns, 'unknown')}; {verdict}"
+
+
+@dataclass(frozen=True)
+class MixedInequality(StructureFromMotionInequality):
+    """The same where points move in different ways; ``vectors`` is then the largest number."""
+
+    #: Vectors of all points together.
+    n_vectors: int = 0
+
+    @property
+    def unknowns(self) -> int:
+        """Left when the gauge is fixed."""
+        return self.d * self.n_vectors + self.f * self.m + self.h - self.g
 
 
 @dataclass(frozen=True)
@@ -235,6 +258,66 @@ def moving_gauge(d: int, g: int, k: int = 0, basis: PathBasis = None) -> int:
         Naming the argument.
     """
     return _whole("g", g, 0) + _whole("d", d, 2) * (path_vectors(k, basis) - 1)
+
+
+def shared_functions(groups: Sequence[PathGroup]) -> int:
+    """Functions of time that all groups can express: what a motion that everything shares may consist of.
+
+    Powers of time share those of the lowest order, harmonics (of one period) those of the fewest. Numbers of functions
+    stand for the same ones where they are equal. What is different shares the constant alone, and so does all that goes
+    with a point at rest.
+
+    Raises
+    ------
+    InputError
+        Where a group cannot be used.
+    """
+    kinds = {("own", group.basis) if isinstance(group.basis, int) else (group.basis or "taylor",) for group in groups}
+    if not kinds:
+        raise InputError("groups is empty, expected at least one group of points")
+    fewest = min(path_vectors(group.k, group.basis) for group in groups)
+    return fewest if len(kinds) == 1 else 1
+
+
+def mixed_inequality(  # noqa: PLR0917 (as structure_from_motion_inequality)
+    d: int, f: int, g: int, h: int, groups: Sequence[PathGroup], m: int, *, n_observations: int | None = None
+) -> MixedInequality:
+    """Compare equations with unknowns where some points are at rest and others move, each group in its own way.
+
+        d sum_j K_j + f m + h  <=  (d - 1) N + g + d (S - 1)
+
+    with ``K_j`` vectors of point j and ``S`` functions of time that all groups share (:func:`shared_functions`): only
+    along these may everything move together. Necessary, never sufficient.
+
+    Parameters
+    ----------
+    d, f, h, m, n_observations
+        As in :func:`structure_from_motion_inequality`.
+    g
+        Gauge freedoms of points at rest.
+    groups
+        Points of one form of path each.
+
+    Returns
+    -------
+    MixedInequality
+        With the gauge of all groups together as its ``g``.
+
+    Raises
+    ------
+    InputError
+        Naming the argument.
+    """
+    d, f, g, h = _camera(d, f, g, h)
+    chosen = [PathGroup(*group) for group in groups]
+    shared = shared_functions(chosen)
+    counts = [path_vectors(group.k, group.basis) for group in chosen]
+    n, m = sum(_whole("n", group.n, 1) for group in chosen), _whole("m", m, 1)
+    seen = n * m if n_observations is None else _whole("n_observations", n_observations, 0)
+    if seen > n * m:
+        raise InputError(f"n_observations is {seen}, expected at most n m = {n * m}")
+    total = sum(group.n * count for group, count in zip(chosen, counts, strict=True))
+    return MixedInequality(d, f, g + d * (shared - 1), h, n, m, max(counts), seen, total)
 
 
 def smallest(  # noqa: PLR0917 (as structure_from_motion_inequality)
@@ -394,6 +477,12 @@ class CameraModel(StrEnum):
         """Compare equations with unknowns: :func:`structure_from_motion_inequality`. Necessary, never sufficient."""
         counts = self.moving_counts(k, basis)
         return structure_from_motion_inequality(*counts, n, m, k, basis, n_observations=n_observations)
+
+    def mixed(self, groups: Sequence[PathGroup], m: int, *, n_observations: int | None = None) -> MixedInequality:
+        """Compare equations with unknowns where points move in different ways: :func:`mixed_inequality`."""
+        d, f, g, h = self.counts
+        bends = self is CameraModel.PROJECTIVE_SPACE and any(path_vectors(k, basis) > 1 for _, k, basis in groups)
+        return mixed_inequality(d, f, d * (d + 1) if bends else g, h, groups, m, n_observations=n_observations)
 
     def smallest(self, k: int = 0, basis: PathBasis = None) -> tuple[PointsAndViews, ...]:
         """Fewest points and views: :func:`smallest`. Necessary, never sufficient."""

@@ -5,6 +5,7 @@ from panopath.steps.conditions import FullVisibility, full_visibility
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.correspondence import CorrespondenceOptions, FeatureTracks, tracks_from_matches
 from panopath.steps.descriptors import FeatureMatches, MatchOptions, MotionGuides, match_features
+from panopath.steps.freedoms import FreedomOptions, certify_paths
 from panopath.steps.headings import HeadingOptions, Headings, find_headings
 from panopath.steps.motion import MeanMotion, MotionOptions, fit_rotations, mean_motion
 from panopath.steps.orientation import (
@@ -31,6 +32,7 @@ __all__ = [
     "CorrespondenceOptions",
     "FeatureMatches",
     "FeatureTracks",
+    "FreedomOptions",
     "FullVisibility",
     "HeadingOptions",
     "Headings",
@@ -50,6 +52,7 @@ __all__ = [
     "ViewPairs",
     "average_rotations",
     "certify",
+    "certify_paths",
     "check_consistency",
     "find_headings",
     "fit_rotations",

@@ -337,3 +337,78 @@ fn is_filled(form: &Form) -> bool {
         Form::Spline { breaks_s, .. } => breaks_s.len() >= 2 && breaks_s.iter().all(|b| b.is_finite()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points around a camera that wanders; the first one at rest where `anchored`.
+    fn wandering(anchored: bool, moves: bool) -> (Vec<Vector<2>>, Vec<f64>, Vec<Form>, Vec<Vector<2>>) {
+        let time_s: Vec<f64> = (0..9).map(f64::from).collect();
+        let centers = time_s.iter().map(|t| [0.3 * t + (1.7 * t).sin(), (0.9 * t).cos()]).collect();
+        let line = Form::Taylor { order: 1, origin_s: 4.0, unit_s: 4.0 };
+        let (mut forms, mut coefficients) = (Vec::new(), Vec::new());
+        for j in 0..6 {
+            let angle = f64::from(j);
+            coefficients.push([1.0 + 5.0 * angle.cos(), 4.0 * angle.sin()]);
+            if anchored && j == 0 {
+                forms.push(Form::Static);
+            } else {
+                forms.push(line.clone());
+                coefficients.push(if moves { [(2.0 * angle).sin(), 0.5 * angle.cos()] } else { [0.0; 2] });
+            }
+        }
+        (centers, time_s, forms, coefficients)
+    }
+
+    fn found(anchored: bool, moves: bool) -> PathCertificate<2> {
+        let (centers, time_s, forms, coefficients) = wandering(anchored, moves);
+        let view: Vec<u32> = (0..54).map(|o| o % 9).collect();
+        let track: Vec<u32> = (0..54).map(|o| o / 9).collect();
+        let scene = MovingScene {
+            view: &view,
+            track: &track,
+            sigma_rad: &[],
+            centers: &centers,
+            time_s: &time_s,
+            forms: &forms,
+            coefficients: &coefficients,
+        };
+        freedoms_of_paths(&scene, &FreedomOptions::default()).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    #[test]
+    fn the_gauge_of_paths_is_larger_and_a_static_scene_has_a_scale_in_time() {
+        for (anchored, moves, nullity) in [(true, true, 3), (true, false, 4), (false, true, 5), (false, false, 6)] {
+            let found = found(anchored, moves);
+            assert_eq!(found.nullity, nullity, "anchored {anchored}, moves {moves}: {:?}", found.freedoms);
+            let named: usize = found.freedoms.iter().map(|freedom| freedom.dimension).sum();
+            assert_eq!(named, nullity - 3);
+            let scales = found.freedoms.iter().filter(|freedom| freedom.kind == FreedomKind::ScaleInTime);
+            assert_eq!(scales.count(), usize::from(!moves));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named() {
+        let (centers, time_s, mut forms, coefficients) = wandering(true, true);
+        let scene = |view: &'static [u32], forms: &[Form]| {
+            let scene = MovingScene {
+                view,
+                track: &[0],
+                sigma_rad: &[],
+                centers: &centers,
+                time_s: &time_s,
+                forms,
+                coefficients: &coefficients,
+            };
+            freedoms_of_paths(&scene, &FreedomOptions::default()).err()
+        };
+        let index = FreedomError::Index { name: "view", observation: 0, found: 9, limit: 9 };
+        assert_eq!(scene(&[9], &forms), Some(index));
+        assert_eq!(scene(&[], &forms), Some(FreedomError::Length { name: "track", found: 1, expected: 0 }));
+        assert_eq!(scene(&[0], &forms), None);
+        forms[2] = Form::Taylor { order: 1, origin_s: f64::NAN, unit_s: 1.0 };
+        assert_eq!(scene(&[0], &forms), Some(FreedomError::NotFilled { track: 2 }));
+    }
+}

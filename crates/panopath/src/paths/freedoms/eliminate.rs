@@ -98,6 +98,16 @@ impl Eliminated {
         sum
     }
 
+    /// Variance of the path across the ray of its observation `a` at one radian of noise, the cameras held.
+    pub fn variance_across<const D: usize>(&self, ray: &Vector<D>, a: usize) -> f64 {
+        let across = |vector: &Vec<f64>| {
+            let arm = self.shift::<D>(vector, a);
+            dot(&arm, &arm) - dot(&arm, ray).powi(2)
+        };
+        let modes = self.values.iter().zip(&self.vectors).take(self.rank);
+        modes.map(|(value, vector)| across(vector).max(0.0) / (value * value)).sum()
+    }
+
     /// The shortest displacement that follows those of the views best.
     pub fn follow<const D: usize>(&self, part: &Part<D>, j: usize, views: &[f64]) -> Vec<f64> {
         let mut z = vec![0.0; self.k * D];

@@ -21,7 +21,8 @@ pub(super) fn of_part<const D: usize>(part: &Part<D>, forms: &[Form]) -> Vec<Fam
     let half = if last > first { 0.5 * (last - first) } else { 1.0 };
     let mut families = vec![Family { name: TimeFunction::Any, functions: vec![vec![1.0; times.len()]] }];
     let mut order = 0;
-    let (mut waves, mut splines): (Vec<(f64, usize)>, Vec<(u32, &Form)>) = (Vec::new(), Vec::new());
+    let mut waves: Vec<(f64, usize)> = Vec::new();
+    let mut splines: Vec<(u32, &Form)> = Vec::new();
     for &track in &part.tracks {
         match &forms[track as usize] {
             Form::Static => {}
@@ -59,6 +60,13 @@ pub(super) fn of_part<const D: usize>(part: &Part<D>, forms: &[Form]) -> Vec<Fam
         }
         families.push(Family { name: TimeFunction::SplineOf(track), functions });
     }
+    // a view without a time sees points at rest alone
+    families
+        .iter_mut()
+        .flat_map(|family| &mut family.functions)
+        .flatten()
+        .filter(|x| x.is_nan())
+        .for_each(|x| *x = 0.0);
     let mut count = 0;
     families.retain(|family| {
         count += family.functions.len();

@@ -28,7 +28,8 @@ const OF_REFUSED: f64 = 0.5;
 /// Members move where they move by more than this share of what the fastest one does.
 const MOVES: f64 = 0.01;
 /// Rounds of re-weighting that find the fewest members.
-const ROUNDS: usize = 30;
+const ROUNDS: usize = 40;
+const CONVEX_ROUNDS: usize = 10;
 /// Chunks of tracks: a constant, so that sums do not depend on the threads.
 const CHUNKS: usize = 32;
 
@@ -530,26 +531,31 @@ impl<const D: usize> Teller<'_, D> {
         if part.sigma <= 0.0 {
             return false;
         }
-        let (mut spread, mut of_refused, mut moved) = (0.0, 0.0, 0.0);
+        // an exact freedom, seen where noise has put all, costs what these errors turn the stretched segments
+        let (mut expected, mut of_refused, mut moved) = (0.0, 0.0, 0.0);
         for (j, &id) in part.tracks.iter().enumerate() {
-            let rates: Vec<f64> =
-                part.observations(j).map(|o| stretch(part, o, &system.across(&mode.step, o))).collect();
-            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
-            let weights = part.observations(j).map(|o| part.gain[o] * part.length[o]);
-            spread += rates.iter().zip(weights).map(|(rate, w)| (w * (rate - mean)).powi(2)).sum::<f64>();
             let own: f64 = part.observations(j).map(|o| norm(&system.path_shift(&mode.step, o)).powi(2)).sum();
             let views: f64 = part.observations(j).map(|o| norm(&system.view_shift(&mode.step, o)).powi(2)).sum();
             moved += own + views;
             if reaches[id as usize].dimension > 0 {
                 of_refused += own;
+                continue;
+            }
+            let rates: Vec<f64> =
+                part.observations(j).map(|o| stretch(part, o, &system.across(&mode.step, o))).collect();
+            // a scale of its own leaves the rays of one track exact
+            let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+            for (a, (o, rate)) in part.observations(j).zip(rates).enumerate() {
+                let of_view = system.views[part.node[o] as usize].variance_across(&part.ray[o]);
+                let of_track = system.tracks[j].variance_across(&part.ray[o], a);
+                expected += (part.gain[o] * (rate - mean)).powi(2) * (of_view + of_track);
             }
         }
         if of_refused > OF_REFUSED * moved {
             return false;
         }
         let energy = mode.value * mode.value * part.n_observations() as f64;
-        let noise = NOISE_MULTIPLE * (D - 1) as f64 * part.sigma * part.sigma * spread;
-        self.movement(mode) > LOOSE_MOVEMENT || energy < noise
+        self.movement(mode) > LOOSE_MOVEMENT || energy < NOISE_MULTIPLE * part.sigma * part.sigma * expected
     }
 }
 
@@ -593,10 +599,12 @@ fn fewest_members<const D: usize>(
     for round in 0..ROUNDS {
         let distances: Vec<f64> = members.iter().map(|gram| moved(&mix, gram)).collect();
         let most = distances.iter().fold(0.0f64, |most, x| most.max(*x));
-        let least = most * f64::max(0.5f64.powi(round as i32), 1e-6);
+        let least = most * f64::max(0.6f64.powi(round as i32), 1e-5);
         let mut sum = vec![0.0; (q + 1) * (q + 1)];
         for (gram, distance) in members.iter().zip(&distances) {
-            let weight = 1.0 / distance.max(least).max(f64::MIN_POSITIVE);
+            // sums of lengths first, which have one minimum; then of their logarithms, which count who moves at all
+            let distance = distance.max(least).max(f64::MIN_POSITIVE);
+            let weight = if round < CONVEX_ROUNDS { 1.0 / distance } else { 1.0 / (distance * distance) };
             sum.iter_mut().zip(gram).for_each(|(s, g)| *s += weight * g);
         }
         let rows: Vec<Vec<f64>> = (0..q).map(|a| sum[a * (q + 1)..a * (q + 1) + q].to_vec()).collect();
@@ -604,7 +612,7 @@ fn fewest_members<const D: usize>(
         let right: Vec<f64> = (0..q).map(|a| -sum[a * (q + 1) + q]).collect();
         mix[..q].fill(0.0);
         for (value, vector) in values.iter().zip(&vectors) {
-            if *value > 1e-13 * values[q - 1] {
+            if *value > 1e-14 * values[q - 1] {
                 let along = inner(vector, &right) / value;
                 (0..q).for_each(|a| mix[a] += along * vector[a]);
             }

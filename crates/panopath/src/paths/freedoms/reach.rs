@@ -154,15 +154,7 @@ impl<const D: usize> Looked<'_, D> {
         let of_views = |(a, o): (usize, usize)| {
             let rate = part.gain[o] * stretch(part, o, &track.shift::<D>(vector, a));
             let held = &self.system.views[part.node[o] as usize];
-            let free: f64 = (0..D)
-                .map(|c| {
-                    let axis = std::array::from_fn(|r| f64::from(u8::from(r == c)));
-                    let along = part.ray[o][c];
-                    let across = sub(&axis, &scale(along, &part.ray[o]));
-                    dot(&across, &held.inverse_times(&across))
-                })
-                .sum();
-            rate * rate * free
+            rate * rate * held.variance_across(&part.ray[o])
         };
         let expected: f64 = part.observations(j).enumerate().map(of_views).sum();
         value * value < NOISE_MULTIPLE * part.sigma * part.sigma * expected

@@ -60,6 +60,15 @@ impl<const D: usize> Held<D> {
             .fold([0.0; D], |sum, k| add(&sum, &scale(dot(&self.vectors[k], x) / self.values[k], &self.vectors[k])))
     }
 
+    /// Variance across a ray at one radian of noise, the tracks held.
+    pub fn variance_across(&self, ray: &Vector<D>) -> f64 {
+        let across = |c: usize| -> f64 {
+            let axis: Vector<D> = std::array::from_fn(|r| f64::from(u8::from(r == c)) - ray[c] * ray[r]);
+            dot(&axis, &self.inverse_times(&axis))
+        };
+        (0..D).map(across).sum()
+    }
+
     /// Directions that are free.
     pub fn free(&self) -> impl Iterator<Item = &Vector<D>> {
         self.vectors[..self.loose].iter()
@@ -215,11 +224,20 @@ impl<'a, const D: usize> System<'a, D> {
         ((0..n).map(squared).sum::<f64>() / (2 * n) as f64).sqrt()
     }
 
+    /// By how much a ray turns, its weight included.
+    #[inline]
+    fn turned(&self, step: &[f64], o: usize) -> Vector<D> {
+        let x = self.across(step, o);
+        let along = dot(&self.part.ray[o], &x);
+        let gain = self.part.gain[o];
+        std::array::from_fn(|c| gain * (x[c] - along * self.part.ray[o][c]))
+    }
+
     /// Energy of a displacement.
     pub fn energy(&self, step: &[f64]) -> f64 {
         let one = |o: usize| {
-            let across = self.across(step, o);
-            dot(&across, &self.part.resist(o, &across))
+            let turned = self.turned(step, o);
+            dot(&turned, &turned)
         };
         (0..self.part.n_observations()).map(one).sum()
     }
@@ -250,12 +268,7 @@ impl<'a, const D: usize> System<'a, D> {
 
     /// Inner products of displacements in the energy.
     fn gram(&self, basis: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        self.products(basis, |step, o| {
-            let x = self.across(step, o);
-            let along = dot(&self.part.ray[o], &x);
-            let gain = self.part.gain[o];
-            std::array::from_fn(|c| gain * (x[c] - along * self.part.ray[o][c]))
-        })
+        self.products(basis, |step, o| self.turned(step, o))
     }
 
     /// Inner products, over all observations, of a vector that each displacement has there.
