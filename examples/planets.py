@@ -1,6 +1,6 @@
 """The solar system from directions alone: the Earth is the camera, and the planets are bodies that move.
 
-Over 30 years the directions of the Sun, Mercury, Venus, Mars, Jupiter and Saturn among the fixed stars are taken 600
+Over 30 years the directions of the Sun, Mercury, Venus, Mars, Jupiter and Saturn among the fixed stars are taken 400
 times. The Sun stands still, and each planet comes back after its own period: Fourier paths. Nothing is said of the
 Earth. What comes out are the paths of the planets and of the Earth, up to one scale: the ratios that Copernicus found.
 
@@ -25,7 +25,7 @@ import panopath as pp
 Float = npt.NDArray[np.float64]
 
 DAY_S, YEAR_D = 86400.0, 365.25
-N_VIEWS, YEARS = 600, 30.0
+N_VIEWS, YEARS = 400, 30.0
 #: 1990 January 1, as a Julian date.
 FIRST_DAY = 2447892.5
 NOISE_RAD = np.radians(1.0 / 60.0)
