@@ -3,7 +3,7 @@
 use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1};
 use panopath::Rotation;
-use panopath::paths::{Assumption, Form, Motion, MovingScene, Verdict, solve_paths as solve};
+use panopath::paths::{Assumption, Form, Motion, MovingStructure, Verdict, solve_paths as solve};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -108,7 +108,7 @@ where
 }
 
 /// Paths as flat arrays.
-fn paths_of<'py, const D: usize>(py: Python<'py>, scene: &MovingScene<D>) -> PyResult<Bound<'py, PyDict>> {
+fn paths_of<'py, const D: usize>(py: Python<'py>, scene: &MovingStructure<D>) -> PyResult<Bound<'py, PyDict>> {
     let n = scene.forms.len();
     let (mut kind, mut order, mut numbers, mut starts) = (Vec::with_capacity(n), Vec::new(), Vec::new(), vec![0i64]);
     for form in &scene.forms {

@@ -10,6 +10,7 @@
 mod basis;
 mod covariance;
 mod frame;
+mod freedoms;
 mod joint;
 mod options;
 mod select;
@@ -18,7 +19,11 @@ mod track;
 mod verdict;
 
 pub use basis::Form;
-pub use options::{Assumption, Motion, MovingScene, PathError};
+pub use freedoms::{
+    Freedom, FreedomError, FreedomKind, FreedomOptions, MovingScene, NullVector, PathCertificate, Reach, TimeFunction,
+    TrackReach, freedoms_of_paths,
+};
+pub use options::{Assumption, Motion, MovingStructure, PathError};
 pub use verdict::Verdict;
 
 use rayon::prelude::*;
@@ -51,7 +56,7 @@ pub fn solve_paths<const D: usize, const V: usize>(
     cam_from_world: Option<&[Rotation<D>]>,
     motion: &Motion,
     options: &PositionOptions<D>,
-) -> Result<MovingScene<D>, PathError> {
+) -> Result<MovingStructure<D>, PathError> {
     const { assert!((D == 2 || D == 3) && V == D * (D + 1) / 2) }
     check(tracks, time_s, motion, options)?;
     let input = Input::new(tracks, time_s, cam_from_world, motion, options);
@@ -447,7 +452,7 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// What each path is worth, and how it is told.
-    fn conclude<const V: usize>(&self, found: &Found<D>) -> MovingScene<D> {
+    fn conclude<const V: usize>(&self, found: &Found<D>) -> MovingStructure<D> {
         let n_tracks = self.tracks.n_tracks();
         let mut structure = found.structure.clone();
         structure.points = vec![[f64::NAN; D]; n_tracks];
@@ -497,7 +502,7 @@ impl<'a, const D: usize> Input<'a, D> {
                 }
             }
         }
-        let mut scene = MovingScene {
+        let mut scene = MovingStructure {
             forms: Vec::with_capacity(n_tracks),
             start: vec![0],
             vectors: Vec::new(),
@@ -516,7 +521,7 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// Adds one track to a scene.
-    fn write_track(&self, scene: &mut MovingScene<D>, track: usize, member: Option<Member<'_>>) {
+    fn write_track(&self, scene: &mut MovingStructure<D>, track: usize, member: Option<Member<'_>>) {
         let told = matches!(scene.verdict[track], Verdict::Static | Verdict::Moving);
         let given = self.motion.forms[track].clone().unwrap_or(Form::Static);
         let Some(member) = member else {
@@ -631,7 +636,7 @@ fn most_common(parts: impl Iterator<Item = i32>) -> Option<i32> {
 }
 
 /// Moves a scene, and all its paths, to the gauge asked for.
-fn place<const D: usize>(scene: &mut MovingScene<D>, options: &PositionOptions<D>) -> Result<(), PathError> {
+fn place<const D: usize>(scene: &mut MovingStructure<D>, options: &PositionOptions<D>) -> Result<(), PathError> {
     let resting: Vec<bool> = scene.verdict.iter().map(|v| *v == Verdict::Static).collect();
     let placed = place_structure(&mut scene.structure, |track| resting[track], &options.gauge)?;
     for (track, form) in scene.forms.iter().enumerate() {

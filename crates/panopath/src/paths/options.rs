@@ -34,7 +34,7 @@ pub enum Assumption {
 
 /// Cameras, points at rest and paths.
 #[derive(Debug, Clone, PartialEq)]
-pub struct MovingScene<const D: usize> {
+pub struct MovingStructure<const D: usize> {
     /// Cameras, and where each track was in the middle of the time that it was seen.
     pub structure: Structure<D>,
     /// Form of each track's path, all numbers filled in.
