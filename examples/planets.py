@@ -6,9 +6,9 @@ Earth. What comes out are the paths of the planets and of the Earth, up to one s
 
 Directions are those of the theories in ERFA (the Earth: Bretagnon and Francou 1988 as in ``epv00``; the planets: Simon
 et al. 1994), where the bodies stand, without the time that light takes. With ``--noise`` each one is off by an arc
-minute, about as much as Tycho Brahe's were.
+minute, about as much as Tycho Brahe's were. With ``--find-periods`` the periods come from the directions too.
 
-Run: ``python examples/planets.py [--noise] [PICTURE]``, with the extras ``astro`` and, for a picture, ``plot``.
+Run: ``python examples/planets.py [--noise] [--find-periods] [PICTURE]``, with the extras ``astro`` and, for a picture, ``plot``.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ PLANETS = {
 }
 
 
-def observe(noise_rad: float, seed: int = 0) -> tuple[pp.Tracks, Float]:
+def observe(noise_rad: float, *, n_views: int = N_VIEWS, seed: int = 0) -> tuple[pp.Tracks, Float]:
     """Directions of the Sun and the planets, x to the vernal equinox, z to the pole of the ecliptic; the true Earth."""
     erfa: Any = importlib.import_module("erfa")
-    days = np.linspace(0.0, YEARS * YEAR_D, N_VIEWS)
+    days = np.linspace(0.0, YEARS * YEAR_D, n_views)
     ecliptic = erfa.ecm06(2451545.0, 0.0)
     earth = erfa.epv00(FIRST_DAY, days)[0]["p"] @ ecliptic.T
     bodies = [np.zeros_like(earth)]
@@ -68,8 +68,8 @@ def observe(noise_rad: float, seed: int = 0) -> tuple[pp.Tracks, Float]:
     direction /= np.linalg.norm(direction, axis=2, keepdims=True)
     n_bodies = len(bodies)
     tracks = pp.Tracks.from_arrays(
-        np.repeat(np.arange(N_VIEWS), n_bodies),
-        np.tile(np.arange(n_bodies), N_VIEWS),
+        np.repeat(np.arange(n_views), n_bodies),
+        np.tile(np.arange(n_bodies), n_views),
         direction.reshape(-1, 3),
         time_s=days * DAY_S,
         track_names=("Sun", *PLANETS),
@@ -123,15 +123,14 @@ def placed(scene: pp.Scene, tracks: pp.Tracks) -> SolarSystem:
     return SolarSystem((scene.centers - sun) / unit, planets, periods)
 
 
-def table(given: SolarSystem, found: SolarSystem) -> str:
-    """Semi-major axes and periods beside the known ones."""
-    head = f"{'':8s}{'axis known':>12s}{'found':>10s}{'error':>9s}{'period known':>15s}{'found':>12s}{'axis then':>12s}"
-    lines = [head]
+def table(system: SolarSystem, *, periods_known: bool) -> str:
+    """Semi-major axes beside the known ones, and periods where they were found."""
+    lines = [f"{'':8s}{'axis known':>12s}{'found':>10s}{'error':>10s}{'period known':>15s}{'found':>12s}"]
     for name, planet in PLANETS.items():
-        axis, then, period_d = given.axis(name), found.axis(name), found.periods_d[name]
+        axis, period_d = system.axis(name), system.periods_d[name]
         error = 100.0 * (axis / planet.axis - 1.0)
-        periods = f"{planet.period_d:13.2f} d{period_d:10.2f} d"
-        lines.append(f"{name:8s}{planet.axis:12.4f}{axis:10.4f}{error:8.2f} %{periods}{then:12.4f}")
+        found = "given" if periods_known else f"{period_d:.2f} d"
+        lines.append(f"{name:8s}{planet.axis:12.4f}{axis:10.4f}{error:8.2f} %{planet.period_d:13.2f} d{found:>12s}")
     return "\n".join(lines)
 
 
@@ -165,23 +164,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("picture", nargs="?", help="where to write the picture")
     parser.add_argument("--noise", action="store_true", help="directions are off by an arc minute")
+    parser.add_argument("--find-periods", action="store_true", help="find the periods too, from the directions")
     arguments = parser.parse_args()
     try:
         tracks, earth = observe(NOISE_RAD if arguments.noise else 0.0)
     except ModuleNotFoundError:
         raise SystemExit('the ephemeris needs pyerfa: pip install "panopath[astro]"') from None
-    scenes = [solve(tracks, periods_known=known) for known in (True, False)]
-    given, found = (placed(scene, tracks) for scene in scenes)
-    paths = scenes[0].paths
-    assert paths is not None
-    print(f"{tracks!r}: {scenes[0].summary.status.value}; {paths.assumption}")
-    print(table(given, found))
-    unit = semi_major(np.linalg.norm(earth, axis=1))
-    for system, how in ((given, "periods given"), (found, "periods found")):
-        error = np.linalg.norm(system.earth - earth / unit, axis=1)
-        print(f"path of the Earth, {how}: {100.0 * np.sqrt(np.mean(error**2)):.3f} % rms of its semi-major axis")
+    known = not arguments.find_periods
+    scene = solve(tracks, periods_known=known)
+    system = placed(scene, tracks)
+    assert scene.paths is not None
+    print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
+    print(table(system, periods_known=known))
+    error = np.linalg.norm(system.earth - earth / semi_major(np.linalg.norm(earth, axis=1)), axis=1)
+    print(f"path of the Earth: {100.0 * np.sqrt(np.mean(error**2)):.3f} % of its semi-major axis, rms")
     if arguments.picture:
-        draw(given, arguments.picture)
+        draw(system, arguments.picture)
 
 
 if __name__ == "__main__":
