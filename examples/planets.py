@@ -8,7 +8,8 @@ Directions are those of the theories in ERFA (the Earth: Bretagnon and Francou 1
 et al. 1994), where the bodies stand, without the time that light takes. With ``--noise`` each one is off by an arc
 minute, about as much as Tycho Brahe's were. With ``--find-periods`` the periods come from the directions too.
 
-Run: ``python examples/planets.py [--noise] [--find-periods] [PICTURE]``, with the extras ``astro`` and, for a picture, ``plot``.
+Run: ``python examples/planets.py [--noise] [--find-periods] [--views N] [PICTURE]``, with the extras ``astro`` and (for a
+picture) ``plot``.
 """
 
 from __future__ import annotations
@@ -115,8 +116,8 @@ def placed(scene: pp.Scene, tracks: pp.Tracks) -> SolarSystem:
     for name in PLANETS:
         track = tracks.track_labels().index(name)
         form = paths.models[track]
-        assert isinstance(form, pp.Fourier)
-        assert form.omega_rad_s is not None
+        if not isinstance(form, pp.Fourier) or form.omega_rad_s is None:
+            raise pp.InputError(f"the period of {name} was not found")
         period_s = 2.0 * np.pi / form.omega_rad_s
         around = paths.position(track, np.linspace(0.0, period_s, 721), outside=True)
         planets[name], periods[name] = (around - sun) / unit, period_s / DAY_S
@@ -138,19 +139,20 @@ def draw(system: SolarSystem, path: str) -> None:
     """Draw the orbits seen from the north of the ecliptic, near and far, and Kepler's third law."""
     figure: Any = importlib.import_module("matplotlib.figure").Figure(figsize=(12.0, 4.3), layout="constrained")
     near, far, law = figure.subplots(1, 3)
-    for axes, names, reach in ((near, ("Mercury", "Venus", "Mars"), 1.8), (far, ("Mars", "Jupiter", "Saturn"), 10.6)):
+    for axes, names, reach in ((near, ("Mercury", "Venus", "Mars"), 2.2), (far, ("Mars", "Jupiter", "Saturn"), 13.0)):
         axes.plot(0.0, 0.0, "o", color="#f5b700", markersize=9)
         axes.plot(*system.earth[:, :2].T, ".", color="#1f5fa8", markersize=2, label="Earth: the camera")
         for name in names:
             axes.plot(*system.planets[name][:, :2].T, "-", color=PLANETS[name].color, label=name)
         axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), xlabel="semi-major axes of the Earth")
         axes.legend(loc="upper left", fontsize=7, frameon=False)
-    axis = np.array([1.0, *(system.axis(name) for name in PLANETS)])
-    period = np.array([1.0, *(system.periods_d[name] / YEAR_D for name in PLANETS)])
+    axis = np.array([system.axis(name) for name in PLANETS])
+    period = np.array([system.periods_d[name] / YEAR_D for name in PLANETS])
     line = np.array([0.3, 12.0])
     law.loglog(line, line**1.5, "-", color="#999999", label="period$^2$ = axis$^3$ (Kepler)")
     law.loglog(axis, period, "o", color="#1f5fa8", label="found")
-    for name, x, y in zip(("Earth", *PLANETS), axis, period, strict=True):
+    law.loglog(1.0, 1.0, "o", color="#999999", label="Earth: the unit")
+    for name, x, y in zip(PLANETS, axis, period, strict=True):
         law.annotate(name, (x, y), (6, -9), textcoords="offset points", fontsize=8)
     law.set(xlabel="semi-major axis", ylabel="period, years")
     law.legend(loc="upper left", fontsize=8, frameon=False)
@@ -165,14 +167,18 @@ def main() -> None:
     parser.add_argument("picture", nargs="?", help="where to write the picture")
     parser.add_argument("--noise", action="store_true", help="directions are off by an arc minute")
     parser.add_argument("--find-periods", action="store_true", help="find the periods too, from the directions")
+    parser.add_argument("--views", type=int, default=N_VIEWS, help="how often the directions are taken")
     arguments = parser.parse_args()
     try:
-        tracks, earth = observe(NOISE_RAD if arguments.noise else 0.0)
+        tracks, earth = observe(NOISE_RAD if arguments.noise else 0.0, n_views=arguments.views)
     except ModuleNotFoundError:
         raise SystemExit('the ephemeris needs pyerfa: pip install "panopath[astro]"') from None
     known = not arguments.find_periods
-    scene = solve(tracks, periods_known=known)
-    system = placed(scene, tracks)
+    try:
+        scene = solve(tracks, periods_known=known)
+        system = placed(scene, tracks)
+    except pp.InputError as error:
+        raise SystemExit(f"not solved: {error}") from None
     assert scene.paths is not None
     print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
     print(table(system, periods_known=known))
