@@ -8,8 +8,8 @@ Directions are those of the theories in ERFA (the Earth: Bretagnon and Francou 1
 et al. 1994), where the bodies stand, without the time that light takes. With ``--noise`` each one is off by an arc
 minute, about as much as Tycho Brahe's were. With ``--find-periods`` the periods come from the directions too.
 
-Run: ``python examples/planets.py [--noise] [--find-periods] [--views N] [PICTURE]``, with the extras ``astro`` and (for a
-picture) ``plot``.
+Run: ``python examples/planets.py [--noise] [--find-periods] [--views N] [PICTURE]``, with the extras ``astro``
+and, for a picture, ``plot``.
 """
 
 from __future__ import annotations
