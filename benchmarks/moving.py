@@ -56,7 +56,9 @@ def exact() -> str:
             for d in (2, 3):
                 world = moving_world([form] * n_moving, d=d, n_static=n_static, n_views=40)
                 control = pp.Control(views={i: row.tolist() for i, row in enumerate(world.centers)}, rotation=False)
-                moving = {j: one for j, one in enumerate(world.paths.models) if j not in world.static}
+                moving: dict[str | int, Any] = {
+                    j: one for j, one in enumerate(world.paths.models) if j not in world.static
+                }
                 try:
                     scene = pp.solve_positions(
                         world.tracks,

@@ -177,8 +177,8 @@ def main() -> None:
     try:
         scene = solve(tracks, periods_known=known)
         system = placed(scene, tracks)
-    except pp.InputError as error:
-        raise SystemExit(f"not solved: {error}") from None
+    except pp.InputError as problem:
+        raise SystemExit(f"not solved: {problem}") from None
     assert scene.paths is not None
     print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
     print(table(system, periods_known=known))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,7 @@ def test_a_section_is_renewed_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     page = tmp_path / "page.md"
     for text in ("first", "second"):
         for name in moving.SECTIONS:
-            monkeypatch.setitem(moving.SECTIONS, name, lambda name=name, text=text: f"## {name}, {text}")
+            monkeypatch.setitem(moving.SECTIONS, name, partial("## {}, {}".format, name, text))
         moving.main(["-o", str(page), *(["--only", "speed"] if text == "second" else [])])
     said = page.read_text(encoding="utf-8")
     assert "## speed, second" in said
