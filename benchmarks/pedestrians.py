@@ -157,6 +157,14 @@ def solve_crowd(crowd: Crowd, model: str) -> Found:
     return Found(error, misfit, predicted, rms(scene.centers - crowd.centers), standing)
 
 
+def observer_alone(crowd: Crowd) -> float:
+    """Rms error of the observer who looks at the landmarks only, metres: what pedestrians must not make worse."""
+    control = pp.Control(points={k: row.tolist() for k, row in enumerate(crowd.landmarks)}, rotation=False)
+    of_landmarks = crowd.tracks.select(crowd.tracks.track < N_LANDMARKS)
+    scene = pp.solve_positions(of_landmarks, options=pp.PositionOptions(gauge="control", control=control))
+    return rms(scene.centers - crowd.centers)
+
+
 def rms(vectors: Float) -> float:
     """Root of the mean squared length."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

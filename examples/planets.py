@@ -1,14 +1,15 @@
 """The solar system from directions alone: the Earth is the camera, and the planets are bodies that move.
 
-Over 30 years the directions of the Sun, Mercury, Venus, Mars, Jupiter and Saturn among the fixed stars are taken 600
+Over 30 years the directions of the Sun, Mercury, Venus, Mars, Jupiter and Saturn among the fixed stars are taken 400
 times. The Sun stands still, and each planet comes back after its own period: Fourier paths. Nothing is said of the
 Earth. What comes out are the paths of the planets and of the Earth, up to one scale: the ratios that Copernicus found.
 
 Directions are those of the theories in ERFA (the Earth: Bretagnon and Francou 1988 as in ``epv00``; the planets: Simon
 et al. 1994), where the bodies stand, without the time that light takes. With ``--noise`` each one is off by an arc
-minute, about as much as Tycho Brahe's were.
+minute, about as much as Tycho Brahe's were. With ``--find-periods`` the periods come from the directions too.
 
-Run: ``python examples/planets.py [--noise] [PICTURE]``, with the extras ``astro`` and, for a picture, ``plot``.
+Run: ``python examples/planets.py [--noise] [--find-periods] [--views N] [PICTURE]``, with the extras ``astro``
+and, for a picture, ``plot``.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import panopath as pp
 Float = npt.NDArray[np.float64]
 
 DAY_S, YEAR_D = 86400.0, 365.25
-N_VIEWS, YEARS = 600, 30.0
+N_VIEWS, YEARS = 400, 30.0
 #: 1990 January 1, as a Julian date.
 FIRST_DAY = 2447892.5
 NOISE_RAD = np.radians(1.0 / 60.0)
@@ -54,10 +55,10 @@ PLANETS = {
 }
 
 
-def observe(noise_rad: float, seed: int = 0) -> tuple[pp.Tracks, Float]:
+def observe(noise_rad: float, *, n_views: int = N_VIEWS, seed: int = 0) -> tuple[pp.Tracks, Float]:
     """Directions of the Sun and the planets, x to the vernal equinox, z to the pole of the ecliptic; the true Earth."""
     erfa: Any = importlib.import_module("erfa")
-    days = np.linspace(0.0, YEARS * YEAR_D, N_VIEWS)
+    days = np.linspace(0.0, YEARS * YEAR_D, n_views)
     ecliptic = erfa.ecm06(2451545.0, 0.0)
     earth = erfa.epv00(FIRST_DAY, days)[0]["p"] @ ecliptic.T
     bodies = [np.zeros_like(earth)]
@@ -68,8 +69,8 @@ def observe(noise_rad: float, seed: int = 0) -> tuple[pp.Tracks, Float]:
     direction /= np.linalg.norm(direction, axis=2, keepdims=True)
     n_bodies = len(bodies)
     tracks = pp.Tracks.from_arrays(
-        np.repeat(np.arange(N_VIEWS), n_bodies),
-        np.tile(np.arange(n_bodies), N_VIEWS),
+        np.repeat(np.arange(n_views), n_bodies),
+        np.tile(np.arange(n_bodies), n_views),
         direction.reshape(-1, 3),
         time_s=days * DAY_S,
         track_names=("Sun", *PLANETS),
@@ -115,23 +116,22 @@ def placed(scene: pp.Scene, tracks: pp.Tracks) -> SolarSystem:
     for name in PLANETS:
         track = tracks.track_labels().index(name)
         form = paths.models[track]
-        assert isinstance(form, pp.Fourier)
-        assert form.omega_rad_s is not None
+        if not isinstance(form, pp.Fourier) or form.omega_rad_s is None:
+            raise pp.InputError(f"the period of {name} was not found")
         period_s = 2.0 * np.pi / form.omega_rad_s
         around = paths.position(track, np.linspace(0.0, period_s, 721), outside=True)
         planets[name], periods[name] = (around - sun) / unit, period_s / DAY_S
     return SolarSystem((scene.centers - sun) / unit, planets, periods)
 
 
-def table(given: SolarSystem, found: SolarSystem) -> str:
-    """Semi-major axes and periods beside the known ones."""
-    head = f"{'':8s}{'axis known':>12s}{'found':>10s}{'error':>9s}{'period known':>15s}{'found':>12s}{'axis then':>12s}"
-    lines = [head]
+def table(system: SolarSystem, *, periods_known: bool) -> str:
+    """Semi-major axes beside the known ones, and periods where they were found."""
+    lines = [f"{'':8s}{'axis known':>12s}{'found':>10s}{'error':>10s}{'period known':>15s}{'found':>12s}"]
     for name, planet in PLANETS.items():
-        axis, then, period_d = given.axis(name), found.axis(name), found.periods_d[name]
+        axis, period_d = system.axis(name), system.periods_d[name]
         error = 100.0 * (axis / planet.axis - 1.0)
-        periods = f"{planet.period_d:13.2f} d{period_d:10.2f} d"
-        lines.append(f"{name:8s}{planet.axis:12.4f}{axis:10.4f}{error:8.2f} %{periods}{then:12.4f}")
+        found = "given" if periods_known else f"{period_d:.2f} d"
+        lines.append(f"{name:8s}{planet.axis:12.4f}{axis:10.4f}{error:8.2f} %{planet.period_d:13.2f} d{found:>12s}")
     return "\n".join(lines)
 
 
@@ -139,19 +139,20 @@ def draw(system: SolarSystem, path: str) -> None:
     """Draw the orbits seen from the north of the ecliptic, near and far, and Kepler's third law."""
     figure: Any = importlib.import_module("matplotlib.figure").Figure(figsize=(12.0, 4.3), layout="constrained")
     near, far, law = figure.subplots(1, 3)
-    for axes, names, reach in ((near, ("Mercury", "Venus", "Mars"), 1.8), (far, ("Mars", "Jupiter", "Saturn"), 10.6)):
+    for axes, names, reach in ((near, ("Mercury", "Venus", "Mars"), 2.2), (far, ("Mars", "Jupiter", "Saturn"), 13.0)):
         axes.plot(0.0, 0.0, "o", color="#f5b700", markersize=9)
         axes.plot(*system.earth[:, :2].T, ".", color="#1f5fa8", markersize=2, label="Earth: the camera")
         for name in names:
             axes.plot(*system.planets[name][:, :2].T, "-", color=PLANETS[name].color, label=name)
         axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), xlabel="semi-major axes of the Earth")
         axes.legend(loc="upper left", fontsize=7, frameon=False)
-    axis = np.array([1.0, *(system.axis(name) for name in PLANETS)])
-    period = np.array([1.0, *(system.periods_d[name] / YEAR_D for name in PLANETS)])
+    axis = np.array([system.axis(name) for name in PLANETS])
+    period = np.array([system.periods_d[name] / YEAR_D for name in PLANETS])
     line = np.array([0.3, 12.0])
     law.loglog(line, line**1.5, "-", color="#999999", label="period$^2$ = axis$^3$ (Kepler)")
     law.loglog(axis, period, "o", color="#1f5fa8", label="found")
-    for name, x, y in zip(("Earth", *PLANETS), axis, period, strict=True):
+    law.loglog(1.0, 1.0, "o", color="#999999", label="Earth: the unit")
+    for name, x, y in zip(PLANETS, axis, period, strict=True):
         law.annotate(name, (x, y), (6, -9), textcoords="offset points", fontsize=8)
     law.set(xlabel="semi-major axis", ylabel="period, years")
     law.legend(loc="upper left", fontsize=8, frameon=False)
@@ -165,23 +166,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("picture", nargs="?", help="where to write the picture")
     parser.add_argument("--noise", action="store_true", help="directions are off by an arc minute")
+    parser.add_argument("--find-periods", action="store_true", help="find the periods too, from the directions")
+    parser.add_argument("--views", type=int, default=N_VIEWS, help="how often the directions are taken")
     arguments = parser.parse_args()
     try:
-        tracks, earth = observe(NOISE_RAD if arguments.noise else 0.0)
+        tracks, earth = observe(NOISE_RAD if arguments.noise else 0.0, n_views=arguments.views)
     except ModuleNotFoundError:
         raise SystemExit('the ephemeris needs pyerfa: pip install "panopath[astro]"') from None
-    scenes = [solve(tracks, periods_known=known) for known in (True, False)]
-    given, found = (placed(scene, tracks) for scene in scenes)
-    paths = scenes[0].paths
-    assert paths is not None
-    print(f"{tracks!r}: {scenes[0].summary.status.value}; {paths.assumption}")
-    print(table(given, found))
-    unit = semi_major(np.linalg.norm(earth, axis=1))
-    for system, how in ((given, "periods given"), (found, "periods found")):
-        error = np.linalg.norm(system.earth - earth / unit, axis=1)
-        print(f"path of the Earth, {how}: {100.0 * np.sqrt(np.mean(error**2)):.3f} % rms of its semi-major axis")
+    known = not arguments.find_periods
+    try:
+        scene = solve(tracks, periods_known=known)
+        system = placed(scene, tracks)
+    except pp.InputError as problem:
+        raise SystemExit(f"not solved: {problem}") from None
+    assert scene.paths is not None
+    print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
+    print(table(system, periods_known=known))
+    error = np.linalg.norm(system.earth - earth / semi_major(np.linalg.norm(earth, axis=1)), axis=1)
+    print(f"path of the Earth: {100.0 * np.sqrt(np.mean(error**2)):.3f} % of its semi-major axis, rms")
     if arguments.picture:
-        draw(given, arguments.picture)
+        draw(system, arguments.picture)
 
 
 if __name__ == "__main__":

@@ -69,3 +69,18 @@ def test_street_walk(tmp_path: Path) -> None:
     scene = pp.read_scene(tmp_path / "walk")
     assert scene.summary.n_solved_views == 60
     assert {path.stem for path in (tmp_path / "walk" / "colmap" / "0").iterdir()} >= {"cameras", "images", "points3D"}
+
+
+def test_planets(tmp_path: Path) -> None:
+    pytest.importorskip("erfa", reason="the extra astro is absent")
+    said = run("planets", tmp_path, "--noise", "--views", "160")
+    assert "converged; 1 track is known to be at rest" in said
+    for name, axis in (
+        ("Mercury", 0.3871),
+        ("Venus", 0.7233),
+        ("Mars", 1.5237),
+        ("Jupiter", 5.2026),
+        ("Saturn", 9.5549),
+    ):
+        assert number(rf"{name} +[\d.]+ +([\d.]+) ", said) == pytest.approx(axis, rel=0.005)
+    assert number(r"path of the Earth: ([\d.]+) %", said) < 0.4

@@ -87,7 +87,7 @@ impl<'a, const D: usize> Traffic<'a, D> {
         let (fewest, most) = window(kind, o);
         let fewest = fewest.max(FEWEST_VIEWS).min(most);
         let mut rng = stream(o.seed, Stream::Bodies);
-        let bodies = (0..o.n_bodies).map(|_| draw(centers, time_s, fewest, &mut rng)).collect();
+        let bodies = (0..o.n_bodies).map(|body| draw(centers, time_s, fewest, stretch(body, o), &mut rng)).collect();
         Self { bodies, time_s, window: (fewest, most), rng }
     }
 
@@ -127,19 +127,38 @@ fn left_of<const D: usize>(forward: &Vector<D>) -> Vector<D> {
     })
 }
 
-fn draw<const D: usize>(centers: &[Vector<D>], time_s: &[f64], fewest: usize, rng: &mut ChaCha8Rng) -> Body<D> {
-    let mut body = draw_once(centers, time_s, fewest, rng);
+/// The views that a body may meet: each body has a stretch of its own, so that no view sees nothing but traffic.
+fn stretch(body: usize, o: &WorldOptions) -> Range<usize> {
+    let end = |k: usize| (k as f64 / o.n_bodies as f64 * o.n_views as f64) as usize;
+    let start = end(body).min(o.n_views - 1);
+    start..end(body + 1).clamp(start + 1, o.n_views)
+}
+
+fn draw<const D: usize>(
+    centers: &[Vector<D>],
+    time_s: &[f64],
+    fewest: usize,
+    stretch: Range<usize>,
+    rng: &mut ChaCha8Rng,
+) -> Body<D> {
+    let mut body = draw_once(centers, time_s, fewest, stretch.clone(), rng);
     for _ in 1..TRIES {
         if body.near.clone().all(|view| body.distance(&centers[view], time_s[view]) > CLEAR_M + 0.5 * body.size_m[0]) {
             break;
         }
-        body = draw_once(centers, time_s, fewest, rng);
+        body = draw_once(centers, time_s, fewest, stretch.clone(), rng);
     }
     body
 }
 
-fn draw_once<const D: usize>(centers: &[Vector<D>], time_s: &[f64], fewest: usize, rng: &mut ChaCha8Rng) -> Body<D> {
-    let meets = rng.random_range(0..centers.len());
+fn draw_once<const D: usize>(
+    centers: &[Vector<D>],
+    time_s: &[f64],
+    fewest: usize,
+    stretch: Range<usize>,
+    rng: &mut ChaCha8Rng,
+) -> Body<D> {
+    let meets = rng.random_range(stretch);
     let street = along(centers, meets);
     let ahead = rng.random_range(-AHEAD_M..AHEAD_M);
     let beside = side(rng) * uniform(BESIDE_M, rng);
