@@ -42,7 +42,7 @@ def main() -> None:
 def crossing(
     n_views: int = 40, n_still: int = 260, *, seed: int = 1, dimension: int = 3, covariances: bool = True
 ) -> pp.Scene:
-    """A walk over a crossing: facades and ground at rest, three cars, six people, a roundabout; z up, metres, seconds.
+    """Make a walk over a crossing: facades at rest, three cars, six people, a roundabout; z up, metres, seconds.
 
     One track each is hidden, imitates the camera, or was seen too little.
     """
@@ -126,8 +126,8 @@ def _roundabout() -> list[Body]:
     """Two horses of a roundabout on the square."""
     found: list[Body] = []
     for phase in (0.0, np.pi):
-        circle = 2.5 * np.array([(0.0, 0.0, 0.0), (np.cos(phase), np.sin(phase), 0.0), (-np.sin(phase), np.cos(phase), 0.0)])
-        circle[0] = (11.0, 0.5, 1.2)
+        cos, sin = 2.5 * np.cos(phase), 2.5 * np.sin(phase)
+        circle = np.array([(11.0, 0.5, 1.2), (cos, sin, 0.0), (-sin, cos, 0.0)])
         found.append((pp.Fourier(1, 2.0 * np.pi / 8.0), circle, pp.PathVerdict.MOVING, 3, _ALWAYS))
     return found
 

@@ -33,7 +33,7 @@ def left_out(scene: Scene, component: int | None = None) -> int:
 
 
 def at_rest(scene: Scene) -> Scene:
-    """The scene without its movers: their points are not determined, their observations not in use.
+    """Leave the movers out of a scene: their points are not determined, their observations not in use.
 
     What takes every point for one at rest, as covariances do, may be given this scene.
     """
@@ -109,7 +109,7 @@ def _samples(rows: list[tuple[int, Float, Float, Float, Float]], d: int) -> Path
 
 
 def view_times(scene: Scene, component: int | None = None) -> Float:
-    """Times of the solved views of a part, or of all, each once and in order; none where times are not known."""
+    """(n,) times of the solved views of a part, or of all, each once, in order; none where times are not known."""
     if scene.tracks is None or scene.tracks.time_s is None:
         return np.empty(0)
     solved = np.isfinite(scene.centers).all(axis=1)
@@ -120,7 +120,7 @@ def view_times(scene: Scene, component: int | None = None) -> Float:
 
 
 def curve_times(model: PathModel, first_s: float, last_s: float, most: int = MOST_TIMES) -> Float:
-    """Times, evenly from the first to the last, between which a path of this form is nearly straight."""
+    """(n,) times, evenly from the first to the last, between which a path of this form is nearly straight."""
     span = last_s - first_s
     if not span > 0.0:
         return np.array([first_s])
@@ -128,7 +128,7 @@ def curve_times(model: PathModel, first_s: float, last_s: float, most: int = MOS
         pieces = 1 if model.order <= 1 else _PIECES * model.order
     elif isinstance(model, Fourier):
         turns = model.order * (model.omega_rad_s or 0.0) * span / (2.0 * pi)
-        pieces = ceil(2 * _PIECES * max(turns, 0.5))
+        pieces = ceil(3 * _PIECES * max(turns, 0.5))
     elif isinstance(model, Spline):
         within = sum(first_s < knot < last_s for knot in model.knots_s)
         pieces = (within + 1) * (_PIECES if model.degree > 1 else 1)

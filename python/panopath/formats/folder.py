@@ -437,7 +437,7 @@ def _points_csv(scene: Scene) -> bytes:
 
 
 def _path_flags(verdicts: Sequence[PathVerdict], flags: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """What is to be said of tracks that are not at rest, to be put behind other flags."""
+    """Flag tracks that are not at rest; to be put behind other flags."""
     silent = (PathVerdict.STATIC, PathVerdict.UNDETERMINED)
     words = ["" if one in silent else one.value for one in verdicts]
     return np.array([f" {w}" if w and flag else w for w, flag in zip(words, flags, strict=True)], dtype=object)

@@ -108,7 +108,7 @@ def _blocks(flat: Float, sizes: list[int]) -> tuple[Float, ...]:
 
 
 def paths_dict(scene: Scene) -> dict[str, Any] | None:
-    """What ``scene.json`` says of the paths: plain values, a few lines whatever their number."""
+    """Say what ``scene.json`` says of the paths: plain values, a few lines whatever their number."""
     paths = scene.paths
     if paths is None:
         return None
@@ -136,15 +136,17 @@ def paths_csv(scene: Scene) -> bytes:
     if scene.paths is None or not len(samples.track):
         return table_bytes(header, ())
     names = quoted(scene.track_labels())
-    bodies = scene.paths.body.tolist()
     tracks = samples.track.tolist()
-    cells: list[Any] = [map(repr, samples.time_s.tolist()), [names[t] for t in tracks], [str(bodies[t]) for t in tracks]]
+    bodies = scene.paths.body[samples.track].tolist()
+    cells: list[Any] = [map(repr, samples.time_s.tolist()), [names[track] for track in tracks], map(str, bodies)]
     for values, digits in ((samples.position, 9), (samples.velocity, 6), (samples.deviation, 4)):
-        cells += [_texts(values[:, axis], digits) for axis in range(scene.d)]
+        texts = _texts(values.ravel(), digits)
+        cells += [texts[axis :: scene.d] for axis in range(scene.d)]
     return table_bytes(header, zip(*cells, strict=True))
 
 
 def _texts(values: Float, digits: int) -> list[str]:
-    """Numbers of so many digits, empty where not known; no minus before nothing."""
-    texts = map(format, (values + 0.0).tolist(), repeat(f".{digits}g"))
+    """Numbers of so many digits, empty where not known; what is rounding of nothing is nothing, without a minus."""
+    least = 1e-13 * np.nanmax(np.abs(values), initial=0.0)
+    texts = map(format, np.where(np.abs(values) <= least, 0.0, values).tolist(), repeat(f".{digits}g"))
     return ["" if text == "nan" else text for text in texts]
