@@ -91,11 +91,11 @@ def _still(rng: np.random.Generator, n: int) -> list[Body]:
 def _cars(rng: np.random.Generator) -> list[Body]:
     """Cars with features each, which share their motion: one steady, one that brakes, one that turns off."""
     found: list[Body] = []
-    turning = np.array([(-24.0, -4.0), (-10.0, -4.0), (-1.0, -4.0), (4.0, -4.5), (4.5, 0.0), (4.5, 9.0), (4.5, 20.0)])
+    turning = np.array([(-24.0, -4.0), (-9.0, -4.0), (6.0, -5.0), (4.5, 7.0), (4.5, 20.0)])
     cars: list[tuple[PathModel, Float, tuple[float, float], float]] = [
         (pp.Taylor(1, 6.0, 6.0), np.array([(0.0, 4.0), (-42.0, 0.0)]), (0.0, 12.0), 0.0),
         (pp.Taylor(2, 9.0, 7.0), np.array([(-4.5, 9.0), (0.0, -15.0), (0.0, 6.0)]), (2.0, 16.0), np.pi / 2),
-        (pp.Spline((6.0, 9.0, 12.0, 15.0, 18.0), 3), turning, (6.0, 18.0), 0.0),
+        (pp.Spline((6.0, 12.0, 18.0), 3), turning, (6.0, 18.0), 0.0),
     ]
     for body, (model, path, seen, heading) in enumerate(cars):
         for _ in range(10):
