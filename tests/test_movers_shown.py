@@ -13,9 +13,12 @@ import numpy as np
 import panopath as pp
 import pytest
 from panopath.certificate import Certificate
+from panopath.cli.certifying import write_folder
 from panopath.formats.structure import known_scene
 from panopath.model import Float
+from panopath.movers import at_rest
 from panopath.paths import PathVerdict
+from panopath.report import draw_scene
 from panopath.report.page import ReportNotes, write_report
 from panopath.viewer import view
 from panopath.viewer.content import read_content
@@ -293,3 +296,23 @@ def test_certificate_and_paths_on_one_page(tmp_path: Path, scene: pp.Scene, stre
     paths = pp.Paths((pp.Static(),) * n, np.arange(n + 1), points, None, seen_s, verdicts, alone, alone)
     page, _ = written(replace(plain, paths=paths), certificate, tmp_path)
     assert page.text.index("Determined") < page.text.index("Bodies that move") < page.text.index("Track lengths")
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_pictures_draw_ways(tmp_path: Path, dimension: int) -> None:
+    pytest.importorskip("matplotlib")
+    scene = crossing(21, 60, dimension=dimension)
+    sizes = []
+    for k, one in enumerate((scene, replace(scene, paths=None))):
+        (tmp_path / str(k)).mkdir()
+        sizes.append([path.read_bytes() for path in draw_scene(one, tmp_path / str(k), unit="m")])
+    assert sizes[0] != sizes[1]
+
+
+def test_folder_of_a_command_has_the_report(tmp_path: Path, scene: pp.Scene) -> None:
+    assert scene.tracks is not None
+    certificate = pp.certify(scene.tracks, at_rest(scene), pp.CertifyOptions(orientation="known"))
+    write_folder(scene, certificate, tmp_path / "out", pp.PositionOptions(), False, None)
+    assert "Bodies that move" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    write_folder(at_rest(scene), certificate, tmp_path / "out", pp.PositionOptions(), False, None)
+    assert not (tmp_path / "out" / "report.html").exists()
