@@ -12,6 +12,7 @@ import pytest
 from panopath import _core
 from panopath.errors import InputError
 from panopath.model import Tracks
+from panopath.paths import PathVerdict, Taylor
 from panopath.synthetic import SyntheticWorld, WorldName, simulate
 
 WORLDS = get_args(WorldName)
@@ -133,6 +134,63 @@ def test_noise_and_outliers_are_what_was_asked_for() -> None:
     assert np.median(error[world.outlier]) == pytest.approx(np.pi / 2, abs=0.05)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_true_paths_give_every_bearing(dimension: Any) -> None:
+    world = simulate(
+        "street",
+        n_views=60,
+        n_points=400,
+        mover_fraction=0.4,
+        n_bodies=9,
+        operator_fraction=0.1,
+        dimension=dimension,
+        orientations="random",
+    )
+    paths, tracks, seen = world.paths, world.tracks, world_bearings(world)
+    assert paths is world.paths
+    assert len(paths) == 400
+    np.testing.assert_array_equal(paths.moving, world.moving)
+    np.testing.assert_array_equal(paths.body, world.body)
+    assert set(world.body.tolist()) == {-1, *range(9)}
+    assert world.moving.mean() == pytest.approx(0.4, abs=0.06)
+    assert {one.order for one in paths.models if isinstance(one, Taylor)} == {1, 2}
+    # the camera's own are the only sightings that do not belong to a path
+    np.testing.assert_array_equal(world.outlier, world.carried[tracks.track])
+    for track in range(400):
+        mine = tracks.track == track
+        time_s = world.time_s[tracks.view[mine]]
+        if world.carried[track]:
+            assert paths.verdicts[track] is PathVerdict.UNDETERMINED
+            assert np.isnan(paths.position(track, time_s)).all()
+            continue
+        ray = paths.position(track, time_s) - world.centers[tracks.view[mine]]
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        np.testing.assert_allclose(seen[mine], ray, atol=1e-13)
+        again = np.stack([world.positions_at(time)[track] for time in time_s])
+        np.testing.assert_allclose(again, paths.position(track, time_s), atol=1e-10)
+    at = paths.at(30.0)
+    there = ~np.isnan(at[:, 0])
+    assert there[world.moving].any()
+    assert not there[world.moving].all()
+    np.testing.assert_allclose(at[there], world.positions_at(30.0)[there], atol=1e-10)
+
+
+def test_a_world_at_rest_has_paths_that_rest() -> None:
+    world = simulate("room", n_points=50)
+    assert not world.moving.any()
+    assert not world.paths.moving.any()
+    np.testing.assert_array_equal(world.paths.coefficients, world.points)
+    np.testing.assert_array_equal(world.positions_at(1e6), world.points)
+
+
+def test_the_one_body_is_a_disturbance_as_ever() -> None:
+    world = simulate("street", n_points=500, mover_fraction=0.2, mover_speed_m_s=1.2)
+    np.testing.assert_array_equal(world.outlier, world.moving[world.tracks.track])
+    assert set(world.body.tolist()) == {-1, 0}
+    np.testing.assert_allclose(np.linalg.norm(world.velocity[world.moving], axis=1), 1.2)
+    assert not world.acceleration.any()
+
+
 def test_the_seed_decides() -> None:
     first, again, other = (simulate("room", noise_rad=1e-3, seed=seed) for seed in (3, 3, 4))
     assert first.tracks.bearing.tobytes() == again.tracks.bearing.tobytes()
@@ -156,6 +214,8 @@ def test_the_seed_decides() -> None:
         ("street", {"infinity_distance": (3, 1)}, "the smaller distance first"),
         ("street", {"orientations": "upright"}, '"upright", expected one of identity, random'),
         ("street", {"dimension": 4}, "dimension is 4, expected 2 or 3"),
+        ("street", {"n_bodies": 0}, "n_bodies is 0, expected a number from 1"),
+        ("box", {"n_bodies": 3}, 'n_bodies has no meaning in the world "box"; it belongs to street, corridor'),
         ("ellipse", {"dimension": 3}, 'the world "ellipse" exists in dimension 2 only'),
         ("ellipse", {"conic": "square"}, "expected one of ellipse, circle, parabola, hyperbola"),
         ("room", {"depth_min_m": 1.0}, 'depth_min_m has no meaning in the world "room"'),

@@ -40,6 +40,7 @@ __all__ = [
     "render_walk",
     "scene_covariance",
     "simulate",
+    "solve_paths",
     "solve_positions",
     "spherical_from_bearings",
     "start_headings",
@@ -73,6 +74,21 @@ def average_rotations(
 def path_functions(
     model: tuple[str, int, list[float]], time_s: npt.NDArray[np.float64], derivative: int
 ) -> npt.NDArray[np.float64]: ...
+def solve_paths(
+    observations: _Observations,
+    time_s: npt.NDArray[np.float64],
+    cam_from_world: npt.NDArray[np.float64] | None,
+    motion: tuple[
+        list[tuple[str, int, list[float]]],
+        npt.NDArray[np.int32],
+        list[tuple[str, int, list[float]]],
+        bool,
+        bool,
+        bool,
+    ],
+    options: dict[str, Any],
+    start: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
+) -> dict[str, Any]: ...
 def solve_positions(
     observations: _Observations,
     cam_from_world: npt.NDArray[np.float64] | None,

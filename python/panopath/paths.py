@@ -124,6 +124,10 @@ class Motion:
     common_omega: bool = False
     #: Whether to find tracks that move as one rigid body.
     group: bool = False
+    #: Whether to seek orientations too, from those given on.
+    refine_orientations: bool = False
+    #: Whether to find how well each path is known.
+    covariance: bool = True
 
     def __post_init__(self) -> None:
         for name, value in (("default", self.default), *((f"tracks[{k!r}]", v) for k, v in self.tracks.items())):
@@ -305,6 +309,11 @@ def model_of(kind: str, order: int, numbers: Sequence[float]) -> PathModel:
     if kind == "spline":
         return Spline(tuple(numbers), order)
     return Static()
+
+
+def grouped(paths: Paths) -> Paths:
+    """Paths with the rigid bodies that they belong to."""
+    return paths
 
 
 def _turned(covariance: Float, matrix: Float) -> Float:

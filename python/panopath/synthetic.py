@@ -13,6 +13,11 @@
     cylinder     views and points on an elliptic cylinder: ambiguous seen from above, unique in space
     weak         clusters joined by a few two-view tracks, or a chain of two-view tracks
 
+Things may move through a world. One body is a disturbance: its sightings are outliers, as in a world taken to be at
+rest. With ``n_bodies`` above one, tracks ride on cars and people whose true paths are in ``SyntheticWorld.paths``::
+
+    world = simulate("street", mover_fraction=0.3, n_bodies=20)
+
 Each source of randomness has a stream of its own under the one seed, so that the same seed with more noise is the
 same scene seen worse.
 """
@@ -20,11 +25,15 @@ same scene seen worse.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
+
+import numpy as np
 
 from panopath import _core
 from panopath.errors import InputError
-from panopath.model import Bool, Float, Tracks
+from panopath.model import Bool, Float, Int, Tracks
+from panopath.paths import PathModel, Paths, PathVerdict, Static, Taylor
 
 WorldName = Literal["box", "street", "room", "corridor", "line", "stop_and_go", "chain", "ellipse", "cylinder", "weak"]
 
@@ -43,14 +52,79 @@ class SyntheticWorld:
     cam_from_world: Float
     #: True positions of the views, ``(n_views, d)``.
     centers: Float
-    #: True positions of the points, ``(n_tracks, d)``; of a moving or carried point, where its anchor view saw it.
+    #: True positions of the points, ``(n_tracks, d)``; of what is carried, and of one body, where its anchor saw it;
+    #: of many bodies, in the middle of the time that each track was seen, as in a solved scene.
     points: Float
-    #: Observations that are false directions or sightings of something that moves, ``(N,)``.
+    #: Observations that are false directions, or sightings of what the camera carries along or, with one body, of that,
+    #: ``(N,)``. Sightings of many bodies are right, and not among them.
     outlier: Bool
     #: Standard deviation of the bearings along each tangent direction, radians.
     noise_rad: float
     #: When each view was taken, ``(n_views,)``, seconds.
     time_s: Float
+    #: The body that each track rides on, ``(n_tracks,)``; -1: none.
+    body: Int
+    #: Velocities ``(n_tracks, d)`` at ``point_time_s``, units of the world a second; 0 at rest.
+    velocity: Float
+    #: Accelerations ``(n_tracks, d)``, which are constant.
+    acceleration: Float
+    #: When each point was where ``points`` says, ``(n_tracks,)``, seconds.
+    point_time_s: Float
+    #: Tracks that keep their place in the camera, ``(n_tracks,)``: they have no path of their own in the world.
+    carried: Bool
+
+    @property
+    def moving(self) -> Bool:
+        """Tracks that ride on a body, ``(n_tracks,)``."""
+        return np.asarray(self.body >= 0)
+
+    def positions_at(self, time_s: float) -> Float:
+        """Give the true positions ``(n_tracks, d)`` at a time, seen or not; NaN of what is carried."""
+        since_s = (time_s - self.point_time_s)[:, None]
+        found = self.points + since_s * self.velocity + 0.5 * since_s**2 * self.acceleration
+        found[self.carried] = np.nan
+        return np.asarray(found)
+
+    @cached_property
+    def paths(self) -> Paths:
+        """True paths of all tracks: rest, or polynomials of order 1 and 2 about ``point_time_s``, in seconds.
+
+        What the camera carries along is not determined. Every track is where it is with certainty: no covariances.
+        """
+        orders = np.where(self.body < 0, 0, np.where(self.acceleration.any(axis=1), 2, 1))
+        starts = np.concatenate(([0], np.cumsum(orders + 1)))
+        coefficients = np.empty((starts[-1], self.points.shape[1]))
+        coefficients[starts[:-1]] = np.where(self.carried[:, None], np.nan, self.points)
+        moves, turns = np.flatnonzero(orders > 0), np.flatnonzero(orders > 1)
+        coefficients[starts[moves] + 1] = self.velocity[moves]
+        coefficients[starts[turns] + 2] = 0.5 * self.acceleration[turns]
+        models: list[PathModel] = [Static()] * len(orders)
+        verdicts = [PathVerdict.STATIC] * len(orders)
+        for track in moves.tolist():
+            models[track] = Taylor(int(orders[track]), float(self.point_time_s[track]), 1.0)
+            verdicts[track] = PathVerdict.MOVING
+        for track in np.flatnonzero(self.carried).tolist():
+            verdicts[track] = PathVerdict.UNDETERMINED
+        return Paths(
+            tuple(models),
+            starts,
+            coefficients,
+            None,
+            self._seen_s(),
+            tuple(verdicts),
+            np.full(len(orders), -1, dtype=np.int32),
+            self.body,
+            "the truth",
+        )
+
+    def _seen_s(self) -> Float:
+        """Find the times ``(n_tracks, 2)`` of the first and the last observation; NaN of a track without one."""
+        times, track = self.time_s[self.tracks.view], self.tracks.track
+        seen_s = np.full((self.tracks.n_tracks, 2), (np.inf, -np.inf))
+        np.minimum.at(seen_s[:, 0], track, times)
+        np.maximum.at(seen_s[:, 1], track, times)
+        seen_s[~np.isfinite(seen_s)] = np.nan
+        return seen_s
 
 
 def simulate(
@@ -64,6 +138,7 @@ def simulate(
     outlier_fraction: float = 0.0,
     mover_fraction: float = 0.0,
     mover_speed_m_s: float = 1.5,
+    n_bodies: int = 1,
     operator_fraction: float = 0.0,
     infinity_fraction: float = 0.0,
     infinity_distance: tuple[float, float] = (1e5, 1e6),
@@ -105,7 +180,11 @@ def simulate(
     outlier_fraction
         Probability with which a bearing is replaced by a uniformly random direction.
     mover_fraction, mover_speed_m_s
-        Share of the tracks that ride on one body crossing the scene, and its speed.
+        Share of the tracks that ride on bodies; the speed of the body where there is one, which crosses the scene.
+    n_bodies
+        Number of these bodies (1). More, in street, corridor, line, stop_and_go and chain, are cars (3 to 14 m/s, along
+        the path of the views, in either direction) and people (1 to 2 m/s, half of them turning) in equal shares, about
+        as many tracks on each, seen by consecutive views while near: from six views at least, if ``max_views`` allows.
     operator_fraction
         Share of the tracks that are fixed in the camera frame, as the person who carries the camera is.
     infinity_fraction, infinity_distance
@@ -172,4 +251,9 @@ def _as_world(arrays: dict[str, Any]) -> SyntheticWorld:
         outlier=arrays["outlier"],
         noise_rad=arrays["noise_rad"],
         time_s=arrays["time_s"],
+        body=arrays["body"],
+        velocity=arrays["velocity"],
+        acceleration=arrays["acceleration"],
+        point_time_s=arrays["point_time_s"],
+        carried=arrays["carried"],
     )

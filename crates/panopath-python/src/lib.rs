@@ -6,6 +6,7 @@ mod consistency;
 mod convert;
 mod correspondence;
 mod descriptors;
+mod freedoms;
 mod headings;
 mod motion;
 mod orientation;
@@ -28,6 +29,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     consistency::register(module)?;
     correspondence::register(module)?;
     descriptors::register(module)?;
+    freedoms::register(module)?;
     headings::register(module)?;
     motion::register(module)?;
     paths::register(module)?;

@@ -14,7 +14,7 @@ use pyo3::types::PyDict;
 
 use crate::convert::{FromHeadingOrMatrix, Input, Observations, choose, fill, on_threads, value_error, vectors};
 
-type Start<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>);
+pub type Start<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>);
 
 /// Solves for positions (`panopath.steps.solve_positions` describes the arguments).
 #[pyfunction]
@@ -96,7 +96,7 @@ where
 }
 
 /// Reads the options by name; every name that is not known is an error.
-fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
+pub fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
     let mut parsed = PositionOptions::<D>::default();
     let (mut method, mut form, mut axis, mut linear_gauge) =
         ("robust".to_owned(), "joint".to_owned(), 2usize, "functional".to_owned());

@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use numpy::ndarray::{Array1, Array2, Array3};
 use numpy::{IntoPyArray, PyArray1, PyArray2};
-use panopath::synthetic::{World, WorldError, WorldKind, WorldOptions, simulate as simulate_world};
+use panopath::synthetic::{Motion, World, WorldError, WorldKind, WorldOptions, simulate as simulate_world};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 use crate::convert::{heading, value_error};
 
 /// Every option by name, `dimension` aside; the order in which they are documented.
-const OPTION_NAMES: [&str; 28] = [
+const OPTION_NAMES: [&str; 29] = [
     "n_views",
     "n_points",
     "seed",
@@ -20,6 +20,7 @@ const OPTION_NAMES: [&str; 28] = [
     "outlier_fraction",
     "mover_fraction",
     "mover_speed_m_s",
+    "n_bodies",
     "operator_fraction",
     "infinity_fraction",
     "infinity_distance",
@@ -86,6 +87,7 @@ fn set_option(o: &mut WorldOptions, name: &str, value: &Bound<'_, PyAny>) -> PyR
         "outlier_fraction" => o.outlier_fraction = read(name, value, number)?,
         "mover_fraction" => o.mover_fraction = read(name, value, number)?,
         "mover_speed_m_s" => o.mover_speed_m_s = read(name, value, number)?,
+        "n_bodies" => o.n_bodies = read(name, value, count)?,
         "operator_fraction" => o.operator_fraction = read(name, value, number)?,
         "infinity_fraction" => o.infinity_fraction = read(name, value, number)?,
         "infinity_distance" => o.infinity_distance = read(name, value, "a pair of numbers")?,
@@ -147,6 +149,22 @@ fn to_dict<'py, const D: usize>(
     dict.set_item("cam_from_world", cam_from_world)?;
     dict.set_item("centers", rows(py, &world.centers))?;
     dict.set_item("points", rows(py, &world.points))?;
+    let moved = |m: &Motion<D>| match *m {
+        Motion::Moves { body, velocity, acceleration } => (body as i32, velocity, acceleration),
+        _ => (-1, [0.0; D], [0.0; D]),
+    };
+    let (mut body, mut velocity, mut acceleration) = (Vec::new(), Vec::new(), Vec::new());
+    for (b, v, a) in world.motion.iter().map(moved) {
+        body.push(b);
+        velocity.push(v);
+        acceleration.push(a);
+    }
+    let carried = Array1::from_iter(world.motion.iter().map(|m| matches!(m, Motion::Carried(_))));
+    dict.set_item("body", body.into_pyarray(py))?;
+    dict.set_item("velocity", rows(py, &velocity))?;
+    dict.set_item("acceleration", rows(py, &acceleration))?;
+    dict.set_item("carried", carried.into_pyarray(py))?;
+    dict.set_item("point_time_s", world.point_time_s.into_pyarray(py))?;
     dict.set_item("outlier", world.outlier.into_pyarray(py))?;
     dict.set_item("time_s", world.time_s.into_pyarray(py))?;
     dict.set_item("noise_rad", world.noise_rad)?;

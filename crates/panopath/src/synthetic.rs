@@ -4,13 +4,15 @@
 //! `bearing = exp(noise) * cam_from_world * (X - C) / |X - C|`,
 //! where `exp` is the exponential map of the sphere and `noise` an isotropic Gaussian of its tangent plane. A world is
 //! laid out (`layout`: path, points, who sees whom) and then measured (`measure`: orientation, noise, outliers). Each
-//! of these draws from a stream of its own, so that the same seed with more noise is the same scene seen worse.
+//! of these draws from a stream of its own, so that the same seed with more noise is the same scene seen worse. Cars and
+//! people move through a world where that is asked for (`bodies`).
 
 use std::str::FromStr;
 
 use crate::geometry::{Rotation, Vector};
 use crate::tracks::{Tracks, TracksError};
 
+mod bodies;
 mod layout;
 mod measure;
 pub mod render;
@@ -26,14 +28,38 @@ pub struct World<const D: usize = 3> {
     pub cam_from_world: Vec<Rotation<D>>,
     /// True position of each view.
     pub centers: Vec<Vector<D>>,
-    /// True position of each track's point; of a moving or carried one, where its anchor view saw it.
+    /// True position of each track's point; of a carried one and of the one body's, where its anchor view saw it; of one
+    /// of many bodies', in the middle of the time that it was seen.
     pub points: Vec<Vector<D>>,
-    /// Per observation: a false direction, or the sighting of something that moves.
+    /// What each track's point does while the views are taken.
+    pub motion: Vec<Motion<D>>,
+    /// When each track's point was where `points` says.
+    pub point_time_s: Vec<f64>,
+    /// Per observation: a false direction, or the sighting of something that is carried with the camera or, with one
+    /// body, of that. Sightings of many bodies are right.
     pub outlier: Vec<bool>,
     /// When each view was taken.
     pub time_s: Vec<f64>,
     /// Standard deviation of the noise along each tangent direction.
     pub noise_rad: f64,
+}
+
+/// What a track's point does while the views are taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion<const D: usize> {
+    /// It stays where it is.
+    Still,
+    /// `point + velocity s + acceleration s^2 / 2`, `s` the time since `point_time_s`.
+    Moves {
+        /// The body it rides on.
+        body: u32,
+        /// Velocity at `point_time_s`.
+        velocity: Vector<D>,
+        /// Constant acceleration.
+        acceleration: Vector<D>,
+    },
+    /// Constant position in the camera frame.
+    Carried(Vector<D>),
 }
 
 /// The worlds there are.
@@ -181,10 +207,12 @@ pub struct WorldOptions {
     pub noise_rad: f64,
     /// Probability with which a bearing is replaced by a uniformly random direction: 0.
     pub outlier_fraction: f64,
-    /// Share of the tracks that ride on one body moving through the scene: 0.
+    /// Share of the tracks that ride on bodies moving through the scene: 0.
     pub mover_fraction: f64,
-    /// Speed of that body: 1.5.
+    /// Speed of the body where there is one: 1.5.
     pub mover_speed_m_s: f64,
+    /// Number of these bodies: 1. More of them, in worlds with a long path, are cars and people, seen while near.
+    pub n_bodies: usize,
     /// Share of the tracks that are fixed in the camera frame, as the operator who carries it is: 0.
     pub operator_fraction: f64,
     /// Share of the points that are sent, along their ray, to `infinity_distance`: 0.
@@ -239,6 +267,7 @@ impl Default for WorldOptions {
             outlier_fraction: 0.0,
             mover_fraction: 0.0,
             mover_speed_m_s: 1.5,
+            n_bodies: 1,
             operator_fraction: 0.0,
             infinity_fraction: 0.0,
             infinity_distance: (1e5, 1e6),
@@ -332,7 +361,7 @@ pub fn simulate<const D: usize>(kind: WorldKind, options: &WorldOptions) -> Resu
     check_ranges(options)?;
     check_counts(kind, options)?;
     let scene = layout::lay_out::<D>(kind, options);
-    measure::measure(scene, options)
+    measure::measure(kind, scene, options)
 }
 
 fn choose<T: Copy>(what: &'static str, found: &str, choices: &[(&str, T)]) -> Result<T, WorldError> {
@@ -374,7 +403,8 @@ fn check_used(kind: WorldKind, o: &WorldOptions) -> Result<(), WorldError> {
         ("conic", o.conic.is_some(), &[Ellipse]),
     ];
     let off = ("off_conic", o.off_conic.is_some(), &[Ellipse, Cylinder][..]);
-    for (option, is_given, worlds) in given.into_iter().chain([off]) {
+    let many = ("n_bodies", o.n_bodies > 1, &[Street, Corridor, Line, StopAndGo, Chain][..]);
+    for (option, is_given, worlds) in given.into_iter().chain([off, many]) {
         if is_given && !worlds.contains(&kind) {
             let worlds = worlds.iter().map(|world| world.name()).collect::<Vec<_>>().join(", ");
             return Err(WorldError::NotUsed { option, world: kind.name(), worlds });
@@ -450,6 +480,7 @@ fn check_counts(kind: WorldKind, o: &WorldOptions) -> Result<(), WorldError> {
     let limit = i32::MAX as usize;
     require("n_views", o.n_views, (1..=limit).contains(&o.n_views), "a number from 1 to 2^31 - 1")?;
     require("n_points", o.n_points, (1..=limit).contains(&o.n_points), "a number from 1 to 2^31 - 1")?;
+    require("n_bodies", o.n_bodies, (1..=limit).contains(&o.n_bodies), "a number from 1 to 2^31 - 1")?;
     let (fewest, most) = window(kind, o);
     if let Some(given) = o.min_views {
         require("min_views", given, (1..=o.n_views).contains(&given), "a number from 1 to n_views")?;

@@ -342,6 +342,97 @@ fn velocity_on_ray(point: &Vector<3>, center: &Vector<3>, ray: &Vector<3>, elaps
     std::array::from_fn(|c| (center[c] + distance * ray[c] - point[c]) / elapsed_s)
 }
 
+/// Where each track's point is at a time, by what the world says of its motion.
+fn position_at<const D: usize>(world: &World<D>, track: usize, time_s: f64) -> Vector<D> {
+    let since_s = time_s - world.point_time_s[track];
+    match world.motion[track] {
+        Motion::Moves { velocity, acceleration, .. } => std::array::from_fn(|c| {
+            world.points[track][c] + since_s * velocity[c] + 0.5 * since_s * since_s * acceleration[c]
+        }),
+        _ => world.points[track],
+    }
+}
+
+fn check_bodies<const D: usize>(kind: WorldKind) {
+    let o =
+        WorldOptions { mover_fraction: 0.3, n_bodies: 25, orientations: Orientations::Random, ..options(120, 4000) };
+    let world = simulate::<D>(kind, &o).unwrap();
+    let tracks = &world.tracks;
+    for o in 0..tracks.len() {
+        let (i, j) = (tracks.view()[o] as usize, tracks.track()[o] as usize);
+        let ray = sub(&position_at(&world, j, world.time_s[i]), &world.centers[i]);
+        let error_rad = angle_between(&world.cam_from_world[i].apply(&normalized(&ray)), &tracks.bearing()[o]);
+        assert!(error_rad < 1e-13, "{} in dimension {D}, track {j}: {error_rad}", kind.name());
+        assert!(!world.outlier[o]);
+        assert!(norm(&ray) > 1.0 || world.motion[j] == Motion::Still, "nothing drives through the camera");
+    }
+    let views = views_of_tracks(&world);
+    let (mut riders, mut speeds) = (vec![Vec::new(); 25], Vec::new());
+    for (j, motion) in world.motion.iter().enumerate() {
+        let &Motion::Moves { body, velocity, acceleration } = motion else { continue };
+        riders[body as usize].push(j);
+        speeds.push(norm(&velocity));
+        assert!(views[j].len() >= 6 && views[j][views[j].len() - 1] - views[j][0] + 1 == views[j].len());
+        assert!(norm(&acceleration) == 0.0 || norm(&velocity) < 2.6, "cars drive straight");
+    }
+    let share = speeds.len() as f64 / 4000.0;
+    assert!((share - 0.3).abs() < 0.03, "{share}");
+    assert!(speeds.iter().all(|v| (0.9..2.6).contains(v) || (3.0..14.0).contains(v)), "{speeds:?}");
+    assert!(riders.iter().all(|tracks| tracks.len() > 10), "about as many on each");
+    for tracks in &riders {
+        // rigid: what is between two of its points never changes
+        let between =
+            |a: usize, b: usize, time_s: f64| sub(&position_at(&world, a, time_s), &position_at(&world, b, time_s));
+        for pair in tracks.windows(2) {
+            let (early, late) = (between(pair[0], pair[1], 0.0), between(pair[0], pair[1], 100.0));
+            assert!(norm(&sub(&early, &late)) < 1e-9 && norm(&early) < 5.5, "{early:?} {late:?}");
+        }
+    }
+}
+
+#[test]
+fn many_bodies_are_rigid_near_and_seen_exactly() {
+    for kind in [WorldKind::Street, WorldKind::Corridor, WorldKind::Line, WorldKind::StopAndGo, WorldKind::Chain] {
+        check_bodies::<2>(kind);
+        check_bodies::<3>(kind);
+    }
+}
+
+/// Cars and people leave all else as it is, noise and false directions too, and more movers keep the ones there were.
+#[test]
+fn bodies_have_a_stream_of_their_own() {
+    let still = WorldOptions { noise_rad: 1e-3, outlier_fraction: 0.2, ..options(60, 800) };
+    let few = WorldOptions { mover_fraction: 0.2, n_bodies: 8, ..still.clone() };
+    let more = WorldOptions { mover_fraction: 0.4, ..few.clone() };
+    let [still, few, more] = [still, few, more].map(|o| simulate::<3>(WorldKind::Street, &o).unwrap());
+    assert_eq!(still.centers, few.centers);
+    let (mut moving, mut kept) = (0, 0);
+    for j in 0..800 {
+        match few.motion[j] {
+            Motion::Still => assert_eq!(still.points[j], few.points[j]),
+            motion => {
+                moving += 1;
+                kept += usize::from(motion == more.motion[j] && few.points[j] == more.points[j]);
+            }
+        }
+    }
+    assert!(moving > 100 && kept == moving, "{kept} of {moving}");
+    let share = mean(few.outlier.iter().map(|&outlier| f64::from(outlier)));
+    assert!((share - 0.2).abs() < 0.03, "only false directions: {share}");
+}
+
+#[test]
+fn bodies_in_tiny_worlds() {
+    for n_views in [1, 2, 3, 7] {
+        for frame_interval_s in [1e-3, 1.0, 1e4] {
+            let o = WorldOptions { mover_fraction: 1.0, n_bodies: 3, frame_interval_s, ..options(n_views, 20) };
+            let world = simulate::<3>(WorldKind::Street, &o).unwrap();
+            assert!(world.motion.iter().all(|motion| matches!(motion, Motion::Moves { .. })));
+            assert!(views_of_tracks(&world).iter().all(|views| views.len() >= n_views.min(6)));
+        }
+    }
+}
+
 #[test]
 fn points_go_to_infinity_along_their_rays() {
     let o = WorldOptions { infinity_fraction: 0.8, ..options(100, 5000) };
@@ -455,6 +546,8 @@ fn options_out_of_range_or_of_no_use_are_refused() {
             WorldOptions { n_links: Some(3), weak_mode: Some(WeakMode::Chain), ..ok.clone() },
             "n_links has no meaning in the world \"weak (chain)\"",
         ),
+        (WorldKind::Street, WorldOptions { n_bodies: 0, ..ok.clone() }, "n_bodies is 0, expected a number from 1"),
+        (WorldKind::Room, WorldOptions { n_bodies: 2, ..ok.clone() }, "n_bodies has no meaning in the world \"room\""),
         (WorldKind::StopAndGo, WorldOptions { go_views: Some(0), ..ok.clone() }, "go_views is 0"),
         (WorldKind::Ellipse, ok.clone(), "exists in dimension 2 only"),
     ];

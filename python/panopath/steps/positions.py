@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +13,17 @@ import numpy.typing as npt
 from panopath import _core
 from panopath.errors import InputError
 from panopath.model import Control, Float, Int, PositionOptions, Scene, Status, Summary, Tracks, read_only
+from panopath.paths import Motion, PathModel, Paths, PathVerdict, Static, core_model, grouped, model_of
 from panopath.steps.common import call_core, observations_of, orientations_of
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]
+
+_KINDS = ("static", "taylor", "fourier", "spline")
+_ASSUMPTIONS = {
+    "known_static": "{} {} known to be at rest",
+    "most_static": "most tracks are at rest",
+    "least_motion": "everything moves together as little as it can",
+}
 
 
 def solve_positions(
@@ -22,6 +31,7 @@ def solve_positions(
     cam_from_world: npt.ArrayLike | None = None,
     options: PositionOptions | None = None,
     start: Scene | Start | None = None,
+    motion: Motion | None = None,
 ) -> Scene:
     """Camera positions and points from bearings of known orientation, d = 2 or 3.
 
@@ -36,11 +46,14 @@ def solve_positions(
     start
         A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d), to refine instead of starting
         from nothing; NaN rows are found anew.
+    motion
+        How tracks may move (``docs/moving.md``); ``tracks.time_s`` is needed then. None: everything is at rest.
 
     Returns
     -------
     Scene
-        In the gauge of ``options.gauge``; ``scene.summary.status`` says how it ended.
+        In the gauge of ``options.gauge``; ``scene.summary.status`` says how it ended. With ``motion``, ``scene.paths``
+        has the path of each track.
 
     Raises
     ------
@@ -53,6 +66,8 @@ def solve_positions(
     if not isinstance(chosen, PositionOptions):
         raise InputError(f"options is a {type(chosen).__name__}, expected PositionOptions")
     orientations = orientations_of(tracks, cam_from_world)
+    if motion is not None:
+        return solve_moving(tracks, orientations, chosen, None if start is None else _start(start, tracks), motion)
     found = call_core(
         _core.solve_positions,
         observations_of(tracks),
@@ -61,6 +76,93 @@ def solve_positions(
         None if start is None else _start(start, tracks),
     )
     return scene_of(found, tracks)
+
+
+def solve_moving(
+    tracks: Tracks,
+    orientations: Float | None,
+    options: PositionOptions,
+    start: tuple[Float, Float] | None,
+    motion: Motion,
+) -> Scene:
+    """Cameras, points at rest and paths; :func:`solve_positions` describes the arguments."""
+    if not isinstance(motion, Motion):
+        raise InputError(f"motion is a {type(motion).__name__}, expected a Motion")
+    if tracks.time_s is None:
+        raise InputError("tracks.time_s is None, expected the time of every view where tracks may move")
+    models, model = forms_of(motion, tracks)
+    found = call_core(
+        _core.solve_paths,
+        observations_of(tracks),
+        np.ascontiguousarray(tracks.time_s),
+        orientations,
+        (
+            [core_model(one) for one in models],
+            model,
+            [core_model(one) for one in motion.candidates],
+            motion.common_omega,
+            motion.refine_orientations,
+            motion.covariance,
+        ),
+        _core_options(options, tracks),
+        start,
+    )
+    return replace(scene_of(found, tracks), paths=paths_of(found["paths"], motion.group, tracks))
+
+
+def forms_of(motion: Motion, tracks: Tracks) -> tuple[list[PathModel], Int]:
+    """List the forms of path that are named, and which of them each track has: -1 where it is to be found."""
+    named: list[PathModel | Literal["auto"]] = [motion.default]
+    model = np.zeros(tracks.n_tracks, dtype=np.int32)
+    if motion.tracks:
+        model[resolve("motion", "track", motion.tracks, tracks.track_names, tracks.n_tracks)] = np.arange(
+            1, len(motion.tracks) + 1
+        )
+        named += motion.tracks.values()
+    if motion.static:
+        at_rest = dict.fromkeys(motion.static)
+        model[resolve("motion", "track", at_rest, tracks.track_names, tracks.n_tracks)] = len(named)
+        named.append(Static())
+    forms: list[PathModel] = []
+    index = np.full(len(named), -1, dtype=np.int32)
+    for k, one in enumerate(named):
+        if one != "auto":
+            index[k] = len(forms)
+            forms.append(one)
+    return forms, np.ascontiguousarray(index[model])
+
+
+def paths_of(found: Mapping[str, Any], group: bool, tracks: Tracks) -> Paths:
+    """Make the record of what the core found."""
+    numbers, ends = found["numbers"].tolist(), found["number_starts"].tolist()
+    rest = Static()
+    kinds = zip(found["kind"].tolist(), found["order"].tolist(), ends[:-1], ends[1:], strict=True)
+    models = tuple(
+        rest if kind == 0 else model_of(_KINDS[kind], order, numbers[begin:end]) for kind, order, begin, end in kinds
+    )
+    starts, d = found["starts"], tracks.d
+    covariances = None
+    if len(found["covariance_sizes"]):
+        blocks = np.split(found["covariances"], np.cumsum(found["covariance_sizes"])[:-1])
+        sizes = (np.diff(starts) * d).tolist()
+        covariances = tuple(
+            read_only(block.reshape(n, n) if len(block) else np.full((n, n), np.nan))
+            for n, block in zip(sizes, blocks, strict=True)
+        )
+    kind, known = found["assumption"]
+    verdict = {one.value: one for one in PathVerdict}
+    paths = Paths(
+        models=models,
+        starts=starts,
+        coefficients=found["coefficients"],
+        covariances=covariances,
+        seen_s=found["seen_s"],
+        verdicts=tuple(verdict[one] for one in found["verdicts"]),
+        hidden_by=found["hidden_by"],
+        body=np.full(len(models), -1, dtype=np.int32),
+        assumption=_ASSUMPTIONS[kind].format(known, "track is" if known == 1 else "tracks are"),
+    )
+    return paths if not group else grouped(paths)
 
 
 def position_covariance(
@@ -149,8 +251,8 @@ def control_rows(control: Control | None, tracks: Tracks) -> tuple[Int, Float, I
         return none, nowhere, none, nowhere
     if control.d != tracks.d:
         raise InputError(f"control has positions of {control.d} coordinates, but the bearings have {tracks.d}")
-    views = _resolve("view", control.views, tracks.view_names, tracks.n_views)
-    points = _resolve("track", control.points, tracks.track_names, tracks.n_tracks)
+    views = resolve("control", "view", control.views, tracks.view_names, tracks.n_views)
+    points = resolve("control", "track", control.points, tracks.track_names, tracks.n_tracks)
     return views, _rows(control.views, tracks.d), points, _rows(control.points, tracks.d)
 
 
@@ -158,7 +260,7 @@ def _rows(table: Mapping[str | int, Sequence[float]], d: int) -> Float:
     return np.array(list(table.values()), dtype=np.float64).reshape(len(table), d)
 
 
-def _resolve(kind: str, table: Mapping[str | int, Any], names: tuple[str, ...] | None, count: int) -> Int:
+def resolve(argument: str, kind: str, table: Mapping[str | int, Any], names: tuple[str, ...] | None, count: int) -> Int:
     """Look keys up: a name where the tracks have names, else the index as text; an ``int`` is an index."""
     index_of = {} if names is None else {name: index for index, name in enumerate(names)}
     indices = []
@@ -167,10 +269,10 @@ def _resolve(kind: str, table: Mapping[str | int, Any], names: tuple[str, ...] |
         if index is None and names is None and isinstance(key, str) and key.isdecimal():
             index = int(key)
         if index is None or not 0 <= index < count:
-            raise InputError(f"control names the {kind} {key!r}, which is not among the {count} {kind}s")
+            raise InputError(f"{argument} names the {kind} {key!r}, which is not among the {count} {kind}s")
         indices.append(index)
     if len(set(indices)) != len(indices):
-        raise InputError(f"control names a {kind} twice, expected each {kind} once")
+        raise InputError(f"{argument} names a {kind} twice, expected each {kind} once")
     return np.array(indices, dtype=np.int32)
 
 

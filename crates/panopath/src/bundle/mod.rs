@@ -4,6 +4,7 @@
 //! cameras of the reduced system, whose `V` unknowns move them: `D` of a position, and those of a turn where orientations
 //! are unknown.
 
+pub(crate) mod courses;
 pub(crate) mod determinacy;
 pub(crate) mod estimate;
 pub(crate) mod full;

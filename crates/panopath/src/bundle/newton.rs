@@ -35,18 +35,7 @@ impl<'a, const D: usize> Residuals<'a, D> {
     /// Model of observation `o` of a point seen from a centre.
     #[inline(always)]
     pub fn model(&self, o: usize, point: &Lanes, center: &Lanes) -> Quadratic {
-        let ray = &self.part.ray[o];
-        let u = point.minus(center);
-        let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
-        let mut direction = u.times(reciprocal);
-        let error = ray.minus(&direction);
-        let chord = error.dot::<D>(&error) * ray.0[3];
-        let rho = if self.keep[o] { ray.0[3] * huber_weight(chord, self.huber) } else { 0.0 };
-        let along = ray.dot::<D>(&direction);
-        let mut gradient = ray.plus_scaled(-along, &direction).times(rho * reciprocal);
-        gradient.0[3] = 0.0;
-        direction.0[3] = rho * reciprocal * reciprocal;
-        Quadratic { direction, gradient }
+        chord_model::<D>(&self.part.ray[o], point, center, self.keep[o], self.huber)
     }
 
     /// Robust cost of one point.
@@ -71,6 +60,28 @@ impl<'a, const D: usize> Residuals<'a, D> {
         });
         costs
     }
+}
+
+/// Model of a ray's chord to a point seen from a centre; without weight where it is not kept.
+#[inline(always)]
+pub(crate) fn chord_model<const D: usize>(
+    ray: &Lanes,
+    point: &Lanes,
+    center: &Lanes,
+    keep: bool,
+    huber: f64,
+) -> Quadratic {
+    let u = point.minus(center);
+    let reciprocal = 1.0 / u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
+    let mut direction = u.times(reciprocal);
+    let error = ray.minus(&direction);
+    let chord = error.dot::<D>(&error) * ray.0[3];
+    let rho = if keep { ray.0[3] * huber_weight(chord, huber) } else { 0.0 };
+    let along = ray.dot::<D>(&direction);
+    let mut gradient = ray.plus_scaled(-along, &direction).times(rho * reciprocal);
+    gradient.0[3] = 0.0;
+    direction.0[3] = rho * reciprocal * reciprocal;
+    Quadratic { direction, gradient }
 }
 
 /// Gauss-Newton's model of each observation at an estimate.
@@ -237,7 +248,7 @@ fn unit<const D: usize>(u: &Lanes) -> Lanes {
     u.times(1.0 / u.dot::<D>(u).sqrt().max(f64::MIN_POSITIVE))
 }
 
-/// The new position of one point after a camera step, and its cost.
+/// The new position of one point at rest after a camera step, and its cost; one that moves is left to its own step.
 #[inline(always)]
 fn move_point<const D: usize>(
     j: usize,
@@ -249,6 +260,9 @@ fn move_point<const D: usize>(
     damping: f64,
 ) -> (Lanes, f64) {
     let old = weights.estimate.points[j];
+    if weights.residuals.part.courses.moves(j) {
+        return (old, 0.0);
+    }
     let old_centers = &weights.estimate.centers;
     let Some(model) = point_model(&weights.residuals, j, &old, old_centers, step, damping) else { return (old, 0.0) };
     let delta = model.factor.solve(&model.gradient);

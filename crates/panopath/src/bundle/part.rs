@@ -90,6 +90,46 @@ pub(crate) struct Layout {
     pub input_observation: Vec<u32>,
 }
 
+/// Points that move: `x(t) = sum_l B_l(t) p_l`, with the values of `B_l` at each observation. Empty where nothing moves.
+#[derive(Clone, Default)]
+pub(crate) struct Courses {
+    /// Where the vectors of each track begin, those of tracks at rest included: one each; empty: all at rest.
+    pub start: Vec<u32>,
+    /// Where the values of each observation begin.
+    pub first: Vec<u32>,
+    pub values: Vec<f64>,
+    /// By how much a number that the functions depend on, such as a frequency, moves the point at each observation. Empty: no
+    /// track has one.
+    pub bends: Vec<Lanes>,
+    /// Has a track such a number, sought with its vectors?
+    pub is_bent: Vec<bool>,
+}
+
+impl Courses {
+    /// Which vectors are those of a track.
+    #[inline(always)]
+    pub fn vectors(&self, j: usize) -> Range<usize> {
+        self.start[j] as usize..self.start[j + 1] as usize
+    }
+
+    /// Is it a track with more unknowns than a position?
+    #[inline(always)]
+    pub fn moves(&self, j: usize) -> bool {
+        !self.start.is_empty() && self.start[j + 1] - self.start[j] > 1
+    }
+
+    /// Has a track one more unknown than its vectors?
+    pub fn is_bent(&self, j: usize) -> bool {
+        self.is_bent.get(j).copied().unwrap_or(false)
+    }
+
+    /// Unknowns of a track in `d` dimensions.
+    pub fn unknowns(&self, j: usize, d: usize) -> usize {
+        let vectors = if self.start.is_empty() { 1 } else { self.vectors(j).len() };
+        d * vectors + usize::from(self.is_bent(j))
+    }
+}
+
 impl Layout {
     pub fn n_tracks(&self) -> usize {
         self.start.len() - 1
@@ -128,6 +168,8 @@ impl Layout {
 pub(crate) struct Part<const D: usize> {
     layout: Arc<Layout>,
     pub ray: Vec<Lanes>,
+    /// What points are made of where they move.
+    pub courses: Arc<Courses>,
 }
 
 impl<const D: usize> Deref for Part<D> {
@@ -136,6 +178,29 @@ impl<const D: usize> Deref for Part<D> {
     #[inline(always)]
     fn deref(&self) -> &Layout {
         &self.layout
+    }
+}
+
+/// The functions of one point that moves, at its observations.
+#[derive(Clone, Copy)]
+pub(crate) struct Course<'a> {
+    pub n_functions: usize,
+    /// One row for each observation.
+    pub values: &'a [f64],
+    /// By how much a number that the functions depend on moves the point at each, where it is sought too.
+    pub bends: Option<&'a [Lanes]>,
+}
+
+impl Course<'_> {
+    /// Unknowns in `d` dimensions.
+    pub fn unknowns(&self, d: usize) -> usize {
+        d * self.n_functions + usize::from(self.bends.is_some())
+    }
+
+    /// Where the point is at observation `k` of its own.
+    pub fn position(&self, k: usize, vectors: &[Lanes]) -> Lanes {
+        let values = &self.values[k * self.n_functions..(k + 1) * self.n_functions];
+        values.iter().zip(vectors).fold(Lanes::ZERO, |sum, (b, p)| sum.plus_scaled(*b, p))
     }
 }
 
@@ -159,7 +224,7 @@ impl Stations {
 impl<const D: usize> Part<D> {
     /// The same observations with other rays.
     pub fn with_rays<const E: usize>(&self, ray: Vec<Lanes>) -> Part<E> {
-        Part { layout: Arc::clone(&self.layout), ray }
+        Part { layout: Arc::clone(&self.layout), ray, courses: Arc::clone(&self.courses) }
     }
 
     /// The same with points that stay: all that `stays` holds for, by track of the input.
@@ -169,6 +234,36 @@ impl<const D: usize> Part<D> {
             layout.held_points = held;
         }
         self
+    }
+
+    /// The same with points that move.
+    pub fn moving(self, courses: Courses) -> Self {
+        Self { courses: Arc::new(courses), ..self }
+    }
+
+    /// Values of the functions of a track that moves, one row for each of its observations, and what bends it.
+    pub fn course(&self, j: usize) -> Course<'_> {
+        let (courses, observations) = (&self.courses, self.observations(j));
+        let n_functions = courses.vectors(j).len();
+        let first = courses.first[observations.start] as usize;
+        Course {
+            n_functions,
+            values: &courses.values[first..first + n_functions * observations.len()],
+            bends: courses.is_bent(j).then(|| &courses.bends[observations]),
+        }
+    }
+
+    /// Where a point is at one of its observations.
+    #[inline(always)]
+    pub fn position(&self, o: usize, j: usize, points: &[Lanes], vectors: &[Lanes]) -> Lanes {
+        if self.courses.moves(j) {
+            let own = self.courses.vectors(j);
+            let first = self.courses.first[o] as usize;
+            let values = &self.courses.values[first..first + own.len()];
+            values.iter().zip(&vectors[own]).fold(Lanes::ZERO, |sum, (b, p)| sum.plus_scaled(*b, p))
+        } else {
+            points[j]
+        }
     }
 
     /// Lays out these observations of the input, with their local views and rays.
@@ -233,7 +328,7 @@ impl<const D: usize> Part<D> {
             input_track,
             input_observation,
         };
-        Self { layout: Arc::new(layout), ray }
+        Self { layout: Arc::new(layout), ray, courses: Arc::default() }
     }
 }
 

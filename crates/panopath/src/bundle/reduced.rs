@@ -14,6 +14,7 @@
 
 use rayon::prelude::*;
 
+use super::courses::{CourseSystem, observation_rows};
 use super::part::{Lanes, Layout, Part};
 use crate::least_squares::{BlockPattern, BlockSolver, LeastSquaresError, LinearSolver, scalar_slots};
 
@@ -203,6 +204,20 @@ impl<const D: usize> PointFactor<D> {
 }
 
 impl Quadratic {
+    /// `M` by rows.
+    #[inline(always)]
+    pub fn rows<const D: usize>(&self) -> [Lanes; D] {
+        let d = &self.direction;
+        let weight = d.0[3];
+        let weighted = d.times(weight);
+        std::array::from_fn(|r| {
+            let mut row = weighted.times(-d.0[r]);
+            row.0[r] += weight;
+            row.0[3] = 0.0;
+            row
+        })
+    }
+
     /// `M a`.
     #[inline(always)]
     pub fn apply<const D: usize>(&self, a: &Lanes) -> Lanes {
@@ -315,6 +330,7 @@ struct Scratch<const D: usize, R> {
     /// `L^-1 M K` for each node of the track.
     rows: Vec<[R; D]>,
     nodes: Vec<u32>,
+    course: CourseSystem,
 }
 
 pub(crate) struct ReducedSystem<const D: usize, const V: usize, R> {
@@ -613,7 +629,8 @@ impl<const D: usize, const V: usize, R: Row> Accumulator<D, V, R> {
         }
         let low = low.min(high);
         let blocks = pattern.col_start[low] as usize..pattern.col_start[high] as usize;
-        let scratch = Scratch { models: Vec::new(), rows: Vec::new(), nodes: Vec::new() };
+        let scratch =
+            Scratch { models: Vec::new(), rows: Vec::new(), nodes: Vec::new(), course: CourseSystem::default() };
         Self { nodes: low..high, blocks, block: Vec::new(), diagonal: Vec::new(), rhs: Vec::new(), scratch }
     }
 
@@ -665,6 +682,10 @@ fn eliminate_points<const D: usize, const V: usize, F: Freedoms<D, V>>(
 ) {
     sums.reset();
     for j in tracks {
+        if part.courses.moves(j) {
+            eliminate_course(part, j, pattern, locator, weighing, freedoms, point_damping, sums);
+            continue;
+        }
         let Some((factor, gradient)) = point_block(part, j, weighing, point_damping, &mut sums.scratch) else {
             continue;
         };
@@ -675,6 +696,59 @@ fn eliminate_points<const D: usize, const V: usize, F: Freedoms<D, V>>(
             subtract_products(pattern, locator, sums);
         }
     }
+}
+
+/// Eliminates the vectors of a point that moves: as many rows as it has unknowns, in groups of `D` as a point at rest has.
+#[allow(clippy::too_many_arguments)]
+fn eliminate_course<const D: usize, const V: usize, F: Freedoms<D, V>>(
+    part: &Part<D>,
+    j: usize,
+    pattern: &BlockPattern,
+    locator: &Locator,
+    weighing: &impl Weighing<D>,
+    freedoms: &F,
+    point_damping: f64,
+    sums: &mut Accumulator<D, V, F::Row>,
+) {
+    let mut course = std::mem::take(&mut sums.scratch.course);
+    sums.scratch.models.clear();
+    sums.scratch.models.extend(part.observations(j).map(|o| weighing.observe(o, j)));
+    if course.assemble::<D>(part.course(j), &sums.scratch.models) && course.factorise(point_damping) {
+        course.solve_forward();
+        let n_groups = course.len().div_ceil(D);
+        for group in 0..n_groups {
+            sums.scratch.rows.clear();
+            sums.scratch.nodes.clear();
+            for (k, o) in part.observations(j).enumerate() {
+                let node = part.node_of(o);
+                let (rows, right) = observation_rows::<D>(&course, k, group);
+                let slot = node as usize - sums.nodes.start;
+                let mut lifted = [F::Row::ZERO; D];
+                for r in 0..D {
+                    lifted[r] = freedoms.lift(o, j, &rows[r]);
+                }
+                sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &right));
+                if group == 0 {
+                    let model = &sums.scratch.models[k];
+                    let at = locator.find(pattern, node as usize, node as usize) - sums.blocks.start;
+                    add_own::<D, V, F>(freedoms, o, j, &model.rows(), &mut sums.block[at], &mut sums.diagonal[slot]);
+                    let pull = model.gradient.times(-1.0);
+                    sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &pull));
+                }
+                if sums.scratch.nodes.last() == Some(&node) {
+                    let last = sums.scratch.rows.len() - 1;
+                    for r in 0..D {
+                        sums.scratch.rows[last][r] = sums.scratch.rows[last][r].plus(&lifted[r]);
+                    }
+                } else {
+                    sums.scratch.rows.push(lifted);
+                    sums.scratch.nodes.push(node);
+                }
+            }
+            subtract_products(pattern, locator, sums);
+        }
+    }
+    sums.scratch.course = course;
 }
 
 /// Sums the models of one track's observations into the factor of `A` and the gradient `g`; keeps the models in scratch.
@@ -709,31 +783,15 @@ fn camera_blocks<const D: usize, const V: usize, F: Freedoms<D, V>>(
     locator: &Locator,
     sums: &mut Accumulator<D, V, F::Row>,
 ) {
-    let Scratch { models, rows: stored, nodes } = &mut sums.scratch;
+    let Scratch { models, rows: stored, nodes, .. } = &mut sums.scratch;
     stored.clear();
     nodes.clear();
     for (model, o) in models.iter().zip(part.observations(j)) {
         let node = part.node_of(o);
-        let d = &model.direction;
-        let weight = d.0[3];
-        let weighted = d.times(weight);
-        let mut rows: [Lanes; D] = std::array::from_fn(|r| {
-            let mut row = weighted.times(-d.0[r]);
-            row.0[r] += weight;
-            row.0[3] = 0.0;
-            row
-        });
+        let mut rows = model.rows::<D>();
         let slot = node as usize - sums.nodes.start;
         let block = &mut sums.block[locator.find(pattern, node as usize, node as usize) - sums.blocks.start];
-        let mut lifted = [F::Row::ZERO; D];
-        for r in 0..D {
-            lifted[r] = freedoms.lift(o, j, &rows[r]);
-        }
-        let own = freedoms.lift_rows(o, j, &lifted);
-        for r in 0..V {
-            block[r] = block[r].plus(&own[r]);
-            sums.diagonal[slot][r] += own[r].at(r);
-        }
+        let mut lifted = add_own::<D, V, F>(freedoms, o, j, &rows, block, &mut sums.diagonal[slot]);
         let mut right = model.gradient.times(-1.0);
         if let Some((factor, y)) = eliminated {
             factor.forward_rows(&mut rows);
@@ -753,6 +811,28 @@ fn camera_blocks<const D: usize, const V: usize, F: Freedoms<D, V>>(
             nodes.push(node);
         }
     }
+}
+
+/// Adds `K^T M K` to the block of the node that made an observation; gives `M K`.
+#[inline(always)]
+fn add_own<const D: usize, const V: usize, F: Freedoms<D, V>>(
+    freedoms: &F,
+    o: usize,
+    j: usize,
+    rows: &[Lanes; D],
+    block: &mut [F::Row; V],
+    diagonal: &mut [f64; V],
+) -> [F::Row; D] {
+    let mut lifted = [F::Row::ZERO; D];
+    for r in 0..D {
+        lifted[r] = freedoms.lift(o, j, &rows[r]);
+    }
+    let own = freedoms.lift_rows(o, j, &lifted);
+    for r in 0..V {
+        block[r] = block[r].plus(&own[r]);
+        diagonal[r] += own[r].at(r);
+    }
+    lifted
 }
 
 /// Subtracts `T_a^T T_b`, `T = L^-1 M K`, from the block of every pair of nodes of the track.

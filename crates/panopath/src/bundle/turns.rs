@@ -46,13 +46,16 @@ pub(crate) struct Turns<'a, const D: usize> {
     pub part: &'a Part<D>,
     pub centers: &'a [Lanes],
     pub points: &'a [Lanes],
+    /// Vectors of the points that move.
+    pub vectors: &'a [Lanes],
 }
 
 impl<const D: usize> Turns<'_, D> {
     /// `x - c`.
     #[inline(always)]
     fn arm(&self, o: usize, j: usize) -> Lanes {
-        self.points[j].minus(&self.centers[self.part.node_of(o) as usize])
+        let point = self.part.position(o, j, self.points, self.vectors);
+        point.minus(&self.centers[self.part.node_of(o) as usize])
     }
 }
 

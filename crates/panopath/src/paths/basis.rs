@@ -68,7 +68,9 @@ impl Form {
     pub fn values(&self, time_s: f64, derivative: usize, out: &mut [f64]) {
         match self {
             Self::Static => out[0] = if derivative == 0 { 1.0 } else { 0.0 },
-            Self::Taylor { origin_s, unit_s, .. } => powers((time_s - origin_s) / unit_s, 1.0 / unit_s, derivative, out),
+            Self::Taylor { origin_s, unit_s, .. } => {
+                powers((time_s - origin_s) / unit_s, 1.0 / unit_s, derivative, out)
+            }
             Self::Fourier { omega_rad_s, .. } => harmonics(time_s, *omega_rad_s, derivative, out),
             Self::Spline { degree, breaks_s } => splines(time_s, *degree, breaks_s, derivative, out),
         }

@@ -323,38 +323,12 @@ impl<const D: usize> Answer<D> {
 
     /// Moves each part into the gauge asked for.
     fn place(
-        mut self,
+        self,
         cam_from_world: Option<&[Rotation<D>]>,
         options: &PositionOptions<D>,
     ) -> Result<Structure<D>, PositionError> {
-        let mut orientations =
+        let cam_from_world =
             cam_from_world.map_or_else(|| vec![Rotation::identity(); self.centers.len()], <[Rotation<D>]>::to_vec);
-        let centers = members(&self.view_component, &self.centers, self.n_components);
-        let points = members(&self.track_component, &self.points, self.n_components);
-        let mut output_from_part = Vec::with_capacity(self.n_components);
-        for (centers, points) in centers.iter().zip(&points) {
-            output_from_part.push(gauge::gauge_from_solution(&options.gauge, centers, points)?);
-        }
-        if matches!(options.gauge, Gauge::Control(_)) && output_from_part.iter().all(Option::is_none) {
-            let text = "fewer than two of the known positions belong to one solved part, expected at least two";
-            return Err(PositionError::Control(text.to_owned()));
-        }
-        for (component, (centers, points)) in centers.iter().zip(&points).enumerate() {
-            let placed = match output_from_part[component] {
-                Some(similarity) => similarity,
-                None => {
-                    gauge::gauge_from_solution(&Gauge::Normalized, centers, points)?.unwrap_or(Similarity::identity())
-                }
-            };
-            let old_from_new = placed.rotation.inverse();
-            for (view, center) in centers {
-                self.centers[*view as usize] = placed.apply(center);
-                orientations[*view as usize] = orientations[*view as usize].compose(&old_from_new);
-            }
-            for (track, point) in points {
-                self.points[*track as usize] = placed.apply(point);
-            }
-        }
         let (status, sigma_rad) = match self.largest {
             Some((Status::Converged, sigma)) if self.n_components > 1 => (Status::Disconnected, sigma),
             Some(largest) if self.n_components > 0 => largest,
@@ -367,17 +341,58 @@ impl<const D: usize> Answer<D> {
             n_components: self.n_components,
             timings: Timings::default(),
         };
-        Ok(Structure {
+        let mut structure = Structure {
             centers: self.centers,
             points: self.points,
             view_component: self.view_component,
             track_component: self.track_component,
             inlier: self.inlier,
             residual_rad: self.residual_rad,
-            cam_from_world: orientations,
+            cam_from_world,
             summary,
-        })
+        };
+        place_structure(&mut structure, |_| true, &options.gauge)?;
+        Ok(structure)
     }
+}
+
+/// Moves each part into the gauge asked for, which the points that count and the cameras define; gives what was done to
+/// each part.
+pub(crate) fn place_structure<const D: usize>(
+    structure: &mut Structure<D>,
+    counts: impl Fn(usize) -> bool,
+    gauge: &Gauge<D>,
+) -> Result<Vec<Similarity<D>>, PositionError> {
+    let n_components = structure.summary.n_components;
+    let centers = members(&structure.view_component, &structure.centers, n_components);
+    let points = members(&structure.track_component, &structure.points, n_components);
+    let mut output_from_part = Vec::with_capacity(n_components);
+    for (centers, points) in centers.iter().zip(&points) {
+        let told: Vec<(u32, Vector<D>)> = points.iter().filter(|(track, _)| counts(*track as usize)).copied().collect();
+        output_from_part.push(gauge::gauge_from_solution(gauge, centers, &told)?);
+    }
+    if matches!(gauge, Gauge::Control(_)) && output_from_part.iter().all(Option::is_none) {
+        let text = "fewer than two of the known positions belong to one solved part, expected at least two";
+        return Err(PositionError::Control(text.to_owned()));
+    }
+    let mut moved = Vec::with_capacity(n_components);
+    for (component, (centers, points)) in centers.iter().zip(&points).enumerate() {
+        let placed = match output_from_part[component] {
+            Some(similarity) => similarity,
+            None => gauge::gauge_from_solution(&Gauge::Normalized, centers, points)?.unwrap_or(Similarity::identity()),
+        };
+        let old_from_new = placed.rotation.inverse();
+        for (view, center) in centers {
+            structure.centers[*view as usize] = placed.apply(center);
+            let rotation = &mut structure.cam_from_world[*view as usize];
+            *rotation = rotation.compose(&old_from_new);
+        }
+        for (track, point) in points {
+            structure.points[*track as usize] = placed.apply(point);
+        }
+        moved.push(placed);
+    }
+    Ok(moved)
 }
 
 /// The reduced system of cameras that have a position each.

@@ -296,7 +296,7 @@ fn weights<'a, const D: usize>(part: &'a Part<D>, state: &'a State<D>, keep: &'a
 
 fn turns_of<const D: usize>(state: &State<D>) -> Turns<'_, D> {
     let State { poses, part, estimate } = state;
-    Turns { part, centers: &poses.centers, points: &estimate.points }
+    Turns { part, centers: &poses.centers, points: &estimate.points, vectors: &[] }
 }
 
 /// The unknowns that the piece holds, and one coordinate of the centre farthest from the pinned one where the scale is free.

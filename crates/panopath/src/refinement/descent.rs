@@ -85,7 +85,7 @@ impl<const D: usize, const V: usize> Problem for Bundle<'_, D, V> {
         let Given { sights, priors, .. } = *self.given;
         let residuals = Residuals { part, keep: self.keep, huber: self.huber };
         let weights = NewtonWeights { residuals, estimate };
-        let turns = Turns { part, centers: &poses.centers, points: &estimate.points };
+        let turns = Turns { part, centers: &poses.centers, points: &estimate.points, vectors: &[] };
         let terms = priors.terms(poses, self.sigma);
         self.system.assemble(part, &weights, &turns, &terms, Damping { point: damping, view: damping });
         let step = self.system.solve()?;

@@ -335,7 +335,7 @@ impl<const D: usize> Piece<D> {
         let State { poses, part, estimate } = &refined.state;
         let residuals = Residuals { part, keep: &refined.active, huber: self.huber_sigmas * refined.sigma };
         let weights = NewtonWeights { residuals, estimate };
-        let turns = Turns { part, centers: &poses.centers, points: &estimate.points };
+        let turns = Turns { part, centers: &poses.centers, points: &estimate.points, vectors: &[] };
         let terms = self.priors.terms(poses, refined.sigma);
         system.assemble(part, &weights, &turns, &terms, Damping { point: GUARD, view: GUARD });
         match system.factorise() {

@@ -118,7 +118,7 @@ mod tests {
         let what = format!("d = {D}, case {k}, lever {arm}");
         let it = sight::<D>(k, arm);
         let (centers, points) = (&it.poses.centers, [it.point]);
-        let turns = Turns { part: &it.part, centers, points: &points };
+        let turns = Turns { part: &it.part, centers, points: &points, vectors: &[] };
         // the derivative by the point, turned back to the world: rows of -(I - u u^T) / r
         let by_point = by_place::<D, D>(&it.point, |x| it.residual(&it.poses, x));
         let by_pose = by_unknowns::<D, V, D>(&it.poses, |poses| it.residual(poses, &it.point));

@@ -75,7 +75,7 @@ impl<const D: usize, const W: usize> Mobility<D, W> for Turning {
     type Freedoms<'a> = Turns<'a, D>;
 
     fn freedoms(frame: &Frame<D>) -> Turns<'_, D> {
-        Turns { part: &frame.part, centers: &frame.estimate.centers, points: &frame.estimate.points }
+        Turns { part: &frame.part, centers: &frame.estimate.centers, points: &frame.estimate.points, vectors: &[] }
     }
 }
 

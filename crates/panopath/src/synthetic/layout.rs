@@ -1,6 +1,7 @@
 //! Where views and points are, and which view sees which point.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::Range;
 
 use rand::RngExt;
 use rand::seq::{SliceRandom, index};
@@ -28,7 +29,7 @@ const OFF_LINE_RAD: f64 = 20.0 * PI / 180.0;
 const ROOM_M: [f64; 3] = [8.0, 6.0, 2.6];
 /// How far a walk keeps from the room's walls, and how high the camera is carried.
 const ROOM_MARGIN_M: f64 = 0.6;
-const CARRIED_AT_M: f64 = 1.6;
+pub(super) const CARRIED_AT_M: f64 = 1.6;
 const CORRIDOR_WIDTH_M: f64 = 3.0;
 const CORRIDOR_HEIGHT_M: f64 = 2.6;
 /// How far along the corridor a point may be from its anchor view.
@@ -51,6 +52,19 @@ impl<const D: usize> Layout<D> {
         first.push(0);
         let (points, anchor) = (Vec::with_capacity(n_points), Vec::with_capacity(n_points));
         Self { centers, points, anchor, seen: Vec::new(), first }
+    }
+
+    /// Gives some tracks other views.
+    pub(super) fn see_again(&mut self, views: &[Option<Range<usize>>]) {
+        let (mut seen, mut first) = (Vec::with_capacity(self.seen.len()), vec![0]);
+        for (ends, views) in self.first.windows(2).zip(views) {
+            match views {
+                Some(views) => seen.extend(views.clone().map(|view| view as u32)),
+                None => seen.extend_from_slice(&self.seen[ends[0]..ends[1]]),
+            }
+            first.push(seen.len());
+        }
+        (self.seen, self.first) = (seen, first);
     }
 
     fn push(&mut self, point: Vector<D>, anchor: usize, views: impl IntoIterator<Item = usize>) {

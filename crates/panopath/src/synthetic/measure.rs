@@ -6,8 +6,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::bodies::Traffic;
 use super::layout::{Layout, direction, log_uniform};
-use super::{Orientations, World, WorldError, WorldOptions};
+use super::{Motion, Orientations, World, WorldError, WorldKind, WorldOptions};
 use crate::geometry::{Matrix, Rotation, Vector, add, norm, normalized, scale, sub, tangent_basis};
 use crate::tracks::Tracks;
 
@@ -23,6 +24,7 @@ pub(super) enum Stream {
     OrientationError,
     Noise,
     Outliers,
+    Bodies,
 }
 
 pub(super) fn stream(seed: u64, which: Stream) -> ChaCha8Rng {
@@ -37,22 +39,23 @@ const MOVER_REACH_M: (f64, f64) = (2.0, 15.0);
 const OPERATOR_M: (f64, f64) = (0.3, 1.0);
 const OPERATOR_HALF_ANGLE_RAD: f64 = FRAC_PI_4;
 
-/// What a track's point does while the views are taken.
-#[derive(Clone, Copy, PartialEq)]
-enum Motion<const D: usize> {
-    Still,
-    /// Constant velocity, at the recorded position when the anchor view is taken.
-    Moves(Vector<D>),
-    /// Constant position in the camera frame.
-    Carried(Vector<D>),
-}
-
 /// Measures a layout.
-pub(super) fn measure<const D: usize>(mut layout: Layout<D>, o: &WorldOptions) -> Result<World<D>, WorldError> {
+pub(super) fn measure<const D: usize>(
+    kind: WorldKind,
+    mut layout: Layout<D>,
+    o: &WorldOptions,
+) -> Result<World<D>, WorldError> {
     let time_s: Vec<f64> = (0..o.n_views).map(|view| view as f64 * o.frame_interval_s).collect();
     let cam_from_world = true_orientations::<D>(o);
     send_to_infinity(&mut layout, o);
-    let motion = set_in_motion(&mut layout, &cam_from_world, o);
+    let mut point_time_s: Vec<f64> = layout.anchor.iter().map(|&view| time_s[view as usize]).collect();
+    let motion = set_in_motion(kind, &mut layout, &mut point_time_s, &cam_from_world, &time_s, o);
+    // one body is a disturbance of a world at rest; many are what is to be found
+    let is_false = |motion: &Motion<D>| match motion {
+        Motion::Still => false,
+        Motion::Moves { .. } => o.n_bodies == 1,
+        Motion::Carried(_) => true,
+    };
 
     let n_observations = layout.seen.len();
     let mut track = Vec::with_capacity(n_observations);
@@ -65,9 +68,10 @@ pub(super) fn measure<const D: usize>(mut layout: Layout<D>, o: &WorldOptions) -
             let i = view as usize;
             let seen = match motion {
                 Motion::Carried(in_camera) => *in_camera,
-                Motion::Moves(velocity) => {
-                    let elapsed_s = time_s[i] - time_s[layout.anchor[j] as usize];
-                    let position = add(&layout.points[j], &scale(elapsed_s, velocity));
+                Motion::Moves { velocity, acceleration, .. } => {
+                    let elapsed_s = time_s[i] - point_time_s[j];
+                    let on_a_line = add(&layout.points[j], &scale(elapsed_s, velocity));
+                    let position = add(&on_a_line, &scale(0.5 * elapsed_s * elapsed_s, acceleration));
                     cam_from_world[i].apply(&sub(&position, &layout.centers[i]))
                 }
                 Motion::Still => cam_from_world[i].apply(&sub(&layout.points[j], &layout.centers[i])),
@@ -76,7 +80,7 @@ pub(super) fn measure<const D: usize>(mut layout: Layout<D>, o: &WorldOptions) -
             if o.noise_rad > 0.0 {
                 measured = disturb(&measured, o.noise_rad, &mut noise);
             }
-            let mut is_outlier = *motion != Motion::Still;
+            let mut is_outlier = is_false(motion);
             if o.outlier_fraction > 0.0 {
                 // drawn for every observation: a larger fraction keeps the outliers of a smaller one
                 let (draw, anywhere) = (wrong.random::<f64>(), uniform_direction(&mut wrong));
@@ -93,7 +97,7 @@ pub(super) fn measure<const D: usize>(mut layout: Layout<D>, o: &WorldOptions) -
     let Layout { centers, points, seen: view, .. } = layout;
     let tracks = Tracks::new(view, track, bearing, None, o.n_views, o.n_points)?;
     let cam_from_world = with_error(cam_from_world, o);
-    Ok(World { tracks, cam_from_world, centers, points, outlier, time_s, noise_rad: o.noise_rad })
+    Ok(World { tracks, cam_from_world, centers, points, motion, point_time_s, outlier, time_s, noise_rad: o.noise_rad })
 }
 
 /// Moves chosen points outwards along the ray of their anchor view.
@@ -109,35 +113,49 @@ fn send_to_infinity<const D: usize>(layout: &mut Layout<D>, o: &WorldOptions) {
     }
 }
 
-/// Chooses which tracks move, brings them near, and records where their anchor view saw them.
+/// Chooses which tracks move, brings them near, and records where and when their anchor view saw them.
 fn set_in_motion<const D: usize>(
+    kind: WorldKind,
     layout: &mut Layout<D>,
+    point_time_s: &mut [f64],
     cam_from_world: &[Rotation<D>],
+    time_s: &[f64],
     o: &WorldOptions,
 ) -> Vec<Motion<D>> {
     let mut rng = stream(o.seed, Stream::Motion);
     let velocity = scale(o.mover_speed_m_s, &direction(rng.random_range(0.0..TAU), 0.0));
     let moves = |draw: f64| draw < o.mover_fraction;
     let carried = |draw: f64| draw >= 1.0 - o.operator_fraction;
-    let mut place = |(point, &anchor): (&mut Vector<D>, &u32)| {
+    let mut traffic = (o.n_bodies > 1).then(|| Traffic::new(kind, o, &layout.centers, time_s));
+    let mut views = vec![None; layout.points.len()];
+    let mut place = |j: usize| {
+        let (point, anchor) = (&mut layout.points[j], layout.anchor[j] as usize);
         let (draw, share) = (rng.random::<f64>(), rng.random::<f64>());
         let operator = below_the_camera(&mut rng);
-        let center = &layout.centers[anchor as usize];
-        if moves(draw) {
+        let center = &layout.centers[anchor];
+        let ride = traffic.as_mut().map(Traffic::ride);
+        if let (true, Some(ride)) = (moves(draw), ride) {
+            (*point, point_time_s[j], views[j]) = (ride.point, ride.time_s, Some(ride.views));
+            ride.motion
+        } else if moves(draw) {
             let ray = sub(point, center);
             if norm(&ray) > MOVER_REACH_M.1 {
                 *point = add(center, &scale(log_uniform(MOVER_REACH_M, share), &normalized(&ray)));
             }
-            Motion::Moves(velocity)
+            Motion::Moves { body: 0, velocity, acceleration: [0.0; D] }
         } else if carried(draw) {
             let in_camera = scale(log_uniform(OPERATOR_M, share), &operator);
-            *point = add(center, &cam_from_world[anchor as usize].inverse().apply(&in_camera));
+            *point = add(center, &cam_from_world[anchor].inverse().apply(&in_camera));
             Motion::Carried(in_camera)
         } else {
             Motion::Still
         }
     };
-    layout.points.iter_mut().zip(&layout.anchor).map(&mut place).collect()
+    let motion = (0..o.n_points).map(&mut place).collect();
+    if o.n_bodies > 1 {
+        layout.see_again(&views);
+    }
+    motion
 }
 
 /// A direction of the cone about the negative last axis, which is down in a camera that shares the world's axes.

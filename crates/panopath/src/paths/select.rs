@@ -1,0 +1,77 @@
+//! Rest or motion, and of what order: the simplest form of path that a track's errors allow.
+//!
+//! Forms are compared by `cost + unknowns ln(rows)` (Schwarz 1978), the cost in units of the noise and no error counted
+//! beyond the outlier limit. Rest is given up only where the gain is beyond chance by a likelihood ratio too: of a hundred
+//! thousand tracks at rest few may be called moving.
+
+use super::basis::Form;
+use super::track::{Fit, Sightings, fit, has_spare};
+
+/// Standard deviations of a normal variable that a gain by chance stays below, for leaving rest.
+const MOVES_Z: f64 = 4.0;
+/// And that the errors of a track at rest stay below, for looking no further.
+const AT_REST_Z: f64 = 2.3;
+/// Share of the observations that agree with a track at rest, for looking no further, and with any path.
+const AT_REST_SHARE: f64 = 0.6;
+const LEAST_SHARE: f64 = 0.5;
+
+/// The path that a track shows among rest and the candidates; `None` where nothing agrees with most of its observations.
+pub(super) fn choose<const D: usize>(sightings: &Sightings, candidates: &[Form], sigma: f64) -> Option<Fit> {
+    let rows = ((D - 1) * sightings.len()) as f64;
+    let agrees = |fit: &Fit, share: f64| fit.n_kept() as f64 >= share * sightings.len() as f64;
+    let still = fit::<D>(sightings, &Form::Static, sigma);
+    if let Some(still) = &still
+        && agrees(still, AT_REST_SHARE)
+        && inlier_cost(still) <= chi_squared(freedom::<D>(still), AT_REST_Z)
+    {
+        return Some(still.clone());
+    }
+    let score = |fit: &Fit| fit.cost + (D * fit.form.len()) as f64 * rows.ln();
+    let moving = candidates
+        .iter()
+        .filter_map(|form| fit::<D>(sightings, form, sigma))
+        .filter(|fit| has_spare::<D>(fit) && agrees(fit, LEAST_SHARE))
+        .min_by(|a, b| score(a).total_cmp(&score(b)));
+    match (still, moving) {
+        (Some(still), Some(moving)) => {
+            let more = (D * (moving.form.len() - 1)) as f64;
+            let leaves_rest = score(&moving) < score(&still) && still.cost - moving.cost > chi_squared(more, MOVES_Z);
+            if leaves_rest { Some(moving) } else { agrees(&still, LEAST_SHARE).then_some(still) }
+        }
+        (None, moving) => moving,
+        (still, None) => still.filter(|still| agrees(still, LEAST_SHARE)),
+    }
+}
+
+/// Cost of the observations that agree.
+fn inlier_cost(fit: &Fit) -> f64 {
+    use crate::bundle::noise::OUTLIER_SIGMAS;
+    fit.cost - (fit.keep.len() - fit.n_kept()) as f64 * OUTLIER_SIGMAS * OUTLIER_SIGMAS
+}
+
+/// Equations that agree, less the unknowns.
+fn freedom<const D: usize>(fit: &Fit) -> f64 {
+    ((D - 1) * fit.n_kept()) as f64 - (D * fit.form.len()) as f64
+}
+
+/// What a chi-squared variable stays below at a normal variable's quantile (Wilson and Hilferty 1931).
+pub(super) fn chi_squared(freedom: f64, z: f64) -> f64 {
+    if freedom <= 0.0 {
+        return 0.0;
+    }
+    let a = 2.0 / (9.0 * freedom);
+    freedom * (1.0 - a + z * a.sqrt()).powi(3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::chi_squared;
+
+    #[test]
+    fn quantiles_are_those_of_tables() {
+        // 99 % of chi squared: 11.34 for 3 freedoms, 23.21 for 10
+        assert!((chi_squared(3.0, 2.326) - 11.34).abs() < 0.1);
+        assert!((chi_squared(10.0, 2.326) - 23.21).abs() < 0.05);
+        assert_eq!(chi_squared(0.0, 4.0), 0.0);
+    }
+}

@@ -1,0 +1,221 @@
+//! One track by itself, cameras held: the vectors of its path, robustly.
+//!
+//! `min sum rho(|v - u/|u|| / sigma)`, `u = sum_l B_l(t) p_l - c`. First by re-weighted linear least squares
+//! `min sum w |(I - v v^T) u|^2` with Geman and McClure's weights whose scale falls with the errors, then by Gauss-Newton on
+//! the chord.
+
+use super::basis::Form;
+use crate::bundle::courses::CourseSystem;
+use crate::bundle::estimate::weighted_ray;
+use crate::bundle::newton::{chord_model, huber_cost};
+use crate::bundle::noise::{HUBER_SIGMAS, OUTLIER_SIGMAS, median};
+use crate::bundle::part::{Course, Lanes};
+use crate::bundle::reduced::Quadratic;
+
+/// Rounds of re-weighting.
+const ROUNDS: usize = 8;
+/// The scale of the weights over the median error, and the noise below which it does not fall.
+const SCALE_OVER_MEDIAN: f64 = 2.0;
+/// Gauss-Newton steps.
+const STEPS: usize = 8;
+/// A step that lowers the cost by less than this, in units of sigma squared, is the last.
+const LITTLE_GAIN: f64 = 1e-3;
+/// Observations beyond those that the unknowns take, so that a fit says anything.
+const SPARE_ROWS: usize = 2;
+
+/// What was seen of one track: rays with their precision in lane 3, from where, and when.
+#[derive(Default)]
+pub(super) struct Sightings {
+    pub rays: Vec<Lanes>,
+    pub centers: Vec<Lanes>,
+    pub time_s: Vec<f64>,
+}
+
+impl Sightings {
+    pub fn len(&self) -> usize {
+        self.rays.len()
+    }
+
+    /// First and last time.
+    pub fn span(&self) -> (f64, f64) {
+        self.time_s.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &t| (a.min(t), b.max(t)))
+    }
+
+    /// Values of the functions of a form, one row for each observation.
+    pub fn values(&self, form: &Form) -> Vec<f64> {
+        let k = form.len();
+        let mut values = vec![0.0; k * self.len()];
+        for (row, &time) in values.chunks_exact_mut(k).zip(&self.time_s) {
+            form.values(time, 0, row);
+        }
+        values
+    }
+}
+
+/// A path fitted to one track.
+#[derive(Clone)]
+pub(super) struct Fit {
+    pub form: Form,
+    pub vectors: Vec<Lanes>,
+    /// Which observations agree with it.
+    pub keep: Vec<bool>,
+    /// Squared errors in units of sigma, none counted beyond the outlier limit.
+    pub cost: f64,
+}
+
+impl Fit {
+    pub fn n_kept(&self) -> usize {
+        self.keep.iter().filter(|&&k| k).count()
+    }
+}
+
+/// Fits a path of a form. `None` where too few observations agree with any, or it lies behind the cameras.
+pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64) -> Option<Fit> {
+    let n = sightings.len();
+    let (first, last) = sightings.span();
+    let form = form.over(first, last);
+    let unknowns = D * form.len();
+    if (D - 1) * n < unknowns {
+        return None;
+    }
+    let values = sightings.values(&form);
+    let course = Course { n_functions: form.len(), values: &values, bends: None };
+    let mut system = CourseSystem::default();
+    let vectors = reweighted::<D>(sightings, course, sigma, &mut system)?;
+    let mut found = Fit { vectors, keep: vec![true; n], cost: f64::INFINITY, form: form.clone() };
+    // twice: outliers are told better from the minimum
+    for _ in 0..2 {
+        found.keep = kept::<D>(sightings, course, &found.vectors, OUTLIER_SIGMAS * sigma);
+        if (D - 1) * found.n_kept() < unknowns {
+            return None;
+        }
+        descend::<D>(sightings, course, sigma, &mut found, &mut system);
+    }
+    found.keep = kept::<D>(sightings, course, &found.vectors, OUTLIER_SIGMAS * sigma);
+    found.cost = truncated_cost::<D>(sightings, course, &found.vectors, sigma);
+    ((D - 1) * found.n_kept() >= unknowns).then_some(found)
+}
+
+/// Does a fit have observations to spare, so that agreement means something?
+pub(super) fn has_spare<const D: usize>(fit: &Fit) -> bool {
+    (D - 1) * fit.n_kept() >= D * fit.form.len() + SPARE_ROWS
+}
+
+/// Re-weighted linear least squares.
+fn reweighted<const D: usize>(
+    sightings: &Sightings,
+    course: Course<'_>,
+    sigma: f64,
+    system: &mut CourseSystem,
+) -> Option<Vec<Lanes>> {
+    let mut weights = vec![1.0; sightings.len()];
+    let mut vectors = linear::<D>(sightings, course, &weights, system)?;
+    let mut before = f64::INFINITY;
+    for _ in 0..ROUNDS {
+        let mut errors: Vec<f64> = (0..sightings.len()).map(|k| chord::<D>(sightings, course, k, &vectors).0).collect();
+        let scale = (SCALE_OVER_MEDIAN * median(&mut errors.clone())).max(SCALE_OVER_MEDIAN * sigma);
+        for (k, (weight, error)) in weights.iter_mut().zip(&mut errors).enumerate() {
+            let root = 1.0 / (1.0 + (*error / scale).powi(2));
+            let distance = chord::<D>(sightings, course, k, &vectors).1;
+            *weight = root * root / (distance * distance).max(f64::MIN_POSITIVE);
+        }
+        vectors = linear::<D>(sightings, course, &weights, system)?;
+        if (scale / before - 1.0).abs() < 0.02 {
+            break;
+        }
+        before = scale;
+    }
+    Some(vectors)
+}
+
+/// `min sum w |(I - v v^T) (x - c)|^2`.
+fn linear<const D: usize>(
+    sightings: &Sightings,
+    course: Course<'_>,
+    weights: &[f64],
+    system: &mut CourseSystem,
+) -> Option<Vec<Lanes>> {
+    let model = |(ray, weight): (&Lanes, &f64)| weighted_ray(ray, *weight, 0.0);
+    let models: Vec<Quadratic> = sightings.rays.iter().zip(weights).map(model).collect();
+    if !system.assemble::<D>(course, &models) || !system.factorise(0.0) {
+        return None;
+    }
+    let mut x = vec![0.0; system.len()];
+    for (k, center) in sightings.centers.iter().enumerate() {
+        system.add_pull::<D>(k, center, &mut x);
+    }
+    system.solve(&mut x);
+    x.iter().all(|x| x.is_finite()).then(|| vectors_of::<D>(&x, course.n_functions))
+}
+
+/// The vectors among the unknowns of a path.
+pub(super) fn vectors_of<const D: usize>(x: &[f64], n_functions: usize) -> Vec<Lanes> {
+    x.as_chunks::<D>().0[..n_functions].iter().map(Lanes::from_vector::<D>).collect()
+}
+
+/// Chord of an observation, times the root of its precision, and its distance.
+fn chord<const D: usize>(sightings: &Sightings, course: Course<'_>, k: usize, vectors: &[Lanes]) -> (f64, f64) {
+    let u = course.position(k, vectors).minus(&sightings.centers[k]);
+    let distance = u.dot::<D>(&u).sqrt().max(f64::MIN_POSITIVE);
+    let error = sightings.rays[k].plus_scaled(-1.0 / distance, &u);
+    ((error.dot::<D>(&error) * sightings.rays[k].0[3]).sqrt(), distance)
+}
+
+fn kept<const D: usize>(sightings: &Sightings, course: Course<'_>, vectors: &[Lanes], limit: f64) -> Vec<bool> {
+    (0..sightings.len()).map(|k| chord::<D>(sightings, course, k, vectors).0 < limit).collect()
+}
+
+/// Squared errors in units of sigma, none counted beyond the outlier limit.
+fn truncated_cost<const D: usize>(sightings: &Sightings, course: Course<'_>, vectors: &[Lanes], sigma: f64) -> f64 {
+    let squared = |k| (chord::<D>(sightings, course, k, vectors).0 / sigma).powi(2);
+    (0..sightings.len()).map(|k| squared(k).min(OUTLIER_SIGMAS * OUTLIER_SIGMAS)).sum()
+}
+
+/// Gauss-Newton on the observations that are kept.
+fn descend<const D: usize>(
+    sightings: &Sightings,
+    course: Course<'_>,
+    sigma: f64,
+    fit: &mut Fit,
+    system: &mut CourseSystem,
+) {
+    let huber = HUBER_SIGMAS * sigma;
+    let cost = |vectors: &[Lanes], keep: &[bool]| -> f64 {
+        (0..sightings.len())
+            .filter(|&k| keep[k])
+            .map(|k| huber_cost(chord::<D>(sightings, course, k, vectors).0.powi(2), huber))
+            .sum()
+    };
+    let mut present = cost(&fit.vectors, &fit.keep);
+    let mut damping = 1e-12;
+    for _ in 0..STEPS {
+        let models: Vec<Quadratic> = (0..sightings.len())
+            .map(|k| {
+                let point = course.position(k, &fit.vectors);
+                chord_model::<D>(&sightings.rays[k], &point, &sightings.centers[k], fit.keep[k], huber)
+            })
+            .collect();
+        if !system.assemble::<D>(course, &models) || !system.factorise(damping) {
+            return;
+        }
+        let mut x = system.right().to_vec();
+        system.solve(&mut x);
+        let moved: Vec<Lanes> =
+            fit.vectors.iter().zip(vectors_of::<D>(&x, course.n_functions)).map(|(p, d)| p.plus(&d)).collect();
+        let next = cost(&moved, &fit.keep);
+        if next < present {
+            fit.vectors = moved;
+            let gain = present - next;
+            present = next;
+            damping *= 0.1;
+            if gain < LITTLE_GAIN * sigma * sigma && gain < 1e-6 * present {
+                return;
+            }
+        } else {
+            damping = f64::max(damping, 1e-6) * 100.0;
+            if damping > 1e6 {
+                return;
+            }
+        }
+    }
+}
