@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import panopath as pp
 import pytest
+from panopath.cli import main
 from panopath.formats.colmap import read_colmap
 from panopath.formats.crops import write_crops
 from panopath.formats.nerfstudio import write_nerfstudio
@@ -20,9 +21,10 @@ from panopath.formats.ply import cloud_bytes, ply_bytes
 from panopath.formats.structure import known_scene
 from panopath.movers import at_rest, curve_times, left_out, resting, samples_at_views, speed, view_times
 from panopath.paths import PathModel, PathVerdict
+from panopath.pipeline import _sized, fit_to_control
 from test_scene_io import read_ply, same, tree
 
-from docs.figures_moving import crossing
+from docs.figures_moving import SIGMA_RAD, crossing, solved
 
 
 @pytest.fixture(scope="module")
@@ -280,3 +282,60 @@ def test_many_movers_stay_small(tmp_path: Path) -> None:
     assert (folder / "scene.json").stat().st_size < 3000
     assert (folder / "paths.csv").stat().st_size < 130 * 15 * n
     identical(paths, paths_of(pp.read_scene(folder)))
+
+
+def test_residuals_are_against_the_paths(scene: pp.Scene) -> None:
+    """Bearings of the world are as noisy for what moves as for what rests."""
+    paths, tracks = paths_of(scene), scene.tracks
+    assert tracks is not None
+    moves = paths.moving[tracks.track]
+    rests = resting(scene)[tracks.track]
+    for rows in (moves, rests):
+        assert np.sqrt(np.mean(scene.residual_rad[rows] ** 2) / 2) == pytest.approx(SIGMA_RAD, rel=0.1)
+    with pytest.raises(pp.InputError, match="time_s is None"):
+        known_scene(replace(tracks, time_s=None), None, scene.centers, scene.points, paths=paths)
+
+
+def test_paths_go_along_to_control(scene: pp.Scene) -> None:
+    """Known positions of the cameras in another frame bring the bodies there too."""
+    turn = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+    there = {k: 3.0 * turn @ center + (1.0, 2.0, 3.0) for k, center in enumerate(scene.centers)}
+    moved, before = fit_to_control(scene, pp.Control(views=there)), paths_of(scene)
+    after = paths_of(moved)
+    for track in np.flatnonzero(before.moving).tolist():
+        times = np.linspace(before.seen_s[track, 0], before.seen_s[track, 1], 7)
+        expected = 3.0 * before.position(track, times) @ turn.T + (1.0, 2.0, 3.0)
+        np.testing.assert_allclose(after.position(track, times), expected, atol=1e-6)
+        np.testing.assert_allclose(
+            moved.points[track], after.position(track, [before.seen_s[track].mean()])[0], atol=1e-6
+        )
+    sized = paths_of(_sized(scene, np.array([2.0])))
+    np.testing.assert_allclose(sized.position(70, [8.0]), 2.0 * before.position(70, [8.0]))
+
+
+def test_solved_scene_comes_back_and_is_right(tmp_path: Path) -> None:
+    """Found from bearings, written and read: what moves, and where it was within its deviation."""
+    world = crossing(40, 120)
+    told: list[str] = []
+    scene = solved(world, told.append)
+    assert told[0].endswith("38 of 38 movers found, 0 that are none")
+    back = pp.read_scene(pp.write_scene(scene, tmp_path / "out"))
+    identical(paths_of(scene), paths_of(back))
+    true, found = paths_of(world), paths_of(back)
+    ratios = []
+    for track in np.flatnonzero(true.moving).tolist():
+        times = samples_at_views(back).time_s[samples_at_views(back).track == track]
+        error = found.position(track, times) - true.position(track, times, outside=True)
+        variance = np.trace(found.position_covariance(track, times), axis1=1, axis2=2)
+        ratios.append(np.sqrt((error**2).sum(axis=1).mean() / variance.mean()))
+    assert np.median(ratios) < 2.0
+    assert max(ratios) < 4.0
+
+
+def test_simulated_truth_has_its_paths(tmp_path: Path) -> None:
+    arguments = ["simulate", "street", "-o", str(tmp_path / "b.csv"), "--views", "20", "--points", "60", "--quiet"]
+    main([*arguments, "--set", "mover_fraction=0.3", "--set", "n_bodies=6"])
+    (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
+    truth = pp.read_scene(folder)
+    assert paths_of(truth).moving.sum() > 5
+    assert np.nanmax(truth.residual_rad) < 1e-6
