@@ -299,16 +299,16 @@ def test_residuals_are_against_the_paths(scene: pp.Scene) -> None:
 def test_paths_go_along_to_control(scene: pp.Scene) -> None:
     """Known positions of the cameras in another frame bring the bodies there too."""
     turn = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-    there = {k: 3.0 * turn @ center + (1.0, 2.0, 3.0) for k, center in enumerate(scene.centers)}
+    there: dict[str | int, list[float]]
+    there = dict(enumerate((3.0 * scene.centers @ turn.T + (1.0, 2.0, 3.0)).tolist()))
     moved, before = fit_to_control(scene, pp.Control(views=there)), paths_of(scene)
     after = paths_of(moved)
     for track in np.flatnonzero(before.moving).tolist():
         times = np.linspace(before.seen_s[track, 0], before.seen_s[track, 1], 7)
         expected = 3.0 * before.position(track, times) @ turn.T + (1.0, 2.0, 3.0)
-        np.testing.assert_allclose(after.position(track, times), expected, atol=1e-6)
-        np.testing.assert_allclose(
-            moved.points[track], after.position(track, [before.seen_s[track].mean()])[0], atol=1e-6
-        )
+        np.testing.assert_allclose(after.position(track, times), expected, atol=1e-3)
+        half_way = after.position(track, [before.seen_s[track].mean()])[0]
+        np.testing.assert_allclose(moved.points[track], half_way, atol=1e-9)
     sized = paths_of(_sized(scene, np.array([2.0])))
     np.testing.assert_allclose(sized.position(70, [8.0]), 2.0 * before.position(70, [8.0]))
 
@@ -334,7 +334,9 @@ def test_solved_scene_comes_back_and_is_right(tmp_path: Path) -> None:
 
 def test_simulated_truth_has_its_paths(tmp_path: Path) -> None:
     arguments = ["simulate", "street", "-o", str(tmp_path / "b.csv"), "--views", "20", "--points", "60", "--quiet"]
-    main([*arguments, "--set", "mover_fraction=0.3", "--set", "n_bodies=6"])
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--set", "mover_fraction=0.3", "--set", "n_bodies=6"])
+    assert ended.value.code == 0
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
     truth = pp.read_scene(folder)
     assert paths_of(truth).moving.sum() > 5
