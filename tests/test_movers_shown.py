@@ -107,7 +107,7 @@ def test_report_of_scenes_without_movers(tmp_path: Path, scene: pp.Scene) -> Non
     assert "input" not in [tag for tag, _ in page.elements]
 
 
-@pytest.mark.parametrize("kind", ["plane", "no covariances", "no times", "one moment", "far away", "no views"])
+@pytest.mark.parametrize("kind", ["plane", "no covariances", "no times", "one moment", "far away", "no views", "lost"])
 def test_any_scene_is_reported(tmp_path: Path, kind: str) -> None:
     scene = crossing(21, 30, dimension=2 if kind == "plane" else 3, covariances=kind != "no covariances")
     paths = paths_of(scene)
@@ -121,7 +121,13 @@ def test_any_scene_is_reported(tmp_path: Path, kind: str) -> None:
         scene = replace(scene, paths=replace(paths, coefficients=coefficients))
     elif kind == "no views":
         scene = replace(scene, centers=np.full_like(scene.centers, np.nan), view_component=np.full(21, -1))
+    elif kind == "lost":
+        scene = replace(scene, paths=replace(paths, coefficients=np.full_like(paths.coefficients, np.nan)))
     page, data = written(scene, None, tmp_path)
+    assert "nan" not in page.text
+    if kind == "lost":
+        assert data["parts"][0]["moving"] is None
+        return
     assert ("±" in page.text) == (kind != "no covariances")
     if kind == "no views":
         assert data["parts"] == []
@@ -231,7 +237,7 @@ def test_bodies_follow_the_slider(folder: Path, scene: pp.Scene) -> None:
 
 
 @needs_viser
-@pytest.mark.parametrize("kind", ["plane", "no tracks", "nothing moves", "many"])
+@pytest.mark.parametrize("kind", ["plane", "no tracks", "nothing moves", "many", "lost"])
 def test_any_scene_with_paths_is_drawn(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = crossing(21, 30, dimension=2 if kind == "plane" else 3)
     paths = paths_of(scene)
@@ -239,6 +245,8 @@ def test_any_scene_with_paths_is_drawn(tmp_path: Path, kind: str, monkeypatch: p
         scene = replace(scene, tracks=None)
     elif kind == "nothing moves":
         scene = replace(scene, paths=replace(paths, verdicts=(PathVerdict.STATIC,) * len(paths)))
+    elif kind == "lost":
+        scene = replace(scene, paths=replace(paths, coefficients=np.full_like(paths.coefficients, np.nan)))
     elif kind == "many":
         monkeypatch.setattr("panopath.viewer.layers.MOST_BODIES", 9)
     with view(pp.write_scene(scene, tmp_path / "out"), port=0, open_browser=False, block=False) as viewer:

@@ -74,6 +74,8 @@ def bodies_of(scene: Scene, component: int, axes: Float) -> Bodies | None:
     times = [curve_times(paths.models[track], first, last, most) for track, (first, last) in spans]
     places = [paths.position(track, found) for track, found in zip(chosen.tolist(), times, strict=True)]
     known = np.array([np.isfinite(place).all() for place in places], dtype=np.bool_)
+    if not known.any():
+        return None
     kept = [place for place, is_known in zip(places, known.tolist(), strict=True) if is_known]
     chosen = chosen[known]
     bodies = paths.body[chosen].astype(np.intp)
@@ -165,7 +167,7 @@ class _Row:
 
 
 def _table(scene: Scene, paths: Paths, unit: str) -> str:
-    rows = _rows(paths)
+    rows = _rows(paths) if len(paths) else []
     if not rows:
         return ""
     labels = scene.track_labels()
@@ -191,7 +193,8 @@ def _table(scene: Scene, paths: Paths, unit: str) -> str:
 
 def _rows(paths: Paths) -> list[_Row]:
     """Bodies, the largest first, of equal size the one that surely is fastest."""
-    moving = np.flatnonzero(paths.moving & np.isfinite(paths.seen_s).all(axis=1))
+    placed = np.isfinite(np.add.reduceat(paths.coefficients, paths.starts[:-1])).all(axis=1)
+    moving = np.flatnonzero(paths.moving & placed & np.isfinite(paths.seen_s).all(axis=1))
     alone = moving[paths.body[moving] < 0].tolist()
     quick = sorted(alone, key=lambda track: -_known(float(np.linalg.norm(_velocity(paths, track)))))
     rows = [_Row(-1, track, 1, *_speed(paths, track)) for track in quick[:_LOOKED_AT]]
