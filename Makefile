@@ -81,6 +81,7 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python -m docs.figures_counting
 	$(BIN)/python -m docs.figures_view
 	$(BIN)/python -m docs.figures_reconstruct
+	$(BIN)/python -m docs.figures_moving
 
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist
 	$(BIN)/maturin build --release --out dist

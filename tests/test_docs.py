@@ -15,6 +15,8 @@ import pytest
 import typer
 from panopath.cli import app
 
+from docs.figures_moving import crossing
+
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 RUNNING = (
@@ -23,6 +25,7 @@ RUNNING = (
     "docs/tutorial-unknown-orientation.md",
     "docs/tutorial-certificate.md",
     "docs/paper.md",
+    "docs/moving.md",
 )
 
 
@@ -87,10 +90,8 @@ def test_command_line_page_lists_every_option_and_no_other() -> None:
 def test_formats_page_names_every_column_and_file(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     for dimension in (2, 3):
-        world = pp.simulate("box", n_views=5, n_points=12, dimension=dimension, seed=1)
-        scene = pp.solve_positions(world.tracks)
-        folder = pp.write_scene(scene, tmp_path / str(dimension))
-        for name in ("cameras.csv", "points.csv"):
+        folder = pp.write_scene(crossing(10, 12, dimension=dimension, covariances=False), tmp_path / str(dimension))
+        for name in ("cameras.csv", "points.csv", "paths.csv"):
             section = text[text.index(f"`{name}`: ") :].split("\n\n")[0]
             columns = (folder / name).read_text(encoding="utf-8").splitlines()[0].split(",")
             named = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]*)`", section))))

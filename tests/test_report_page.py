@@ -25,7 +25,7 @@ from panopath.report.page import ReportNotes, write_report
 from panopath.report.page_figures import _grid, duration, flattened, rounded, size_of
 
 HOSTILE = '</script><img src=x onerror="window.hostile=1"><b>&'
-VOID = {"meta", "img", "br", "rect", "path"}
+VOID = {"meta", "img", "br", "rect", "path", "input"}
 
 
 class Page(HTMLParser):

@@ -423,7 +423,11 @@ def _sized(scene: Scene, factor: Float) -> Scene:
     """Scale each component by its own factor."""
     of_view = np.append(factor, 1.0)[scene.view_component]
     of_track = np.append(factor, 1.0)[scene.track_component]
-    return replace(scene, centers=of_view[:, None] * scene.centers, points=of_track[:, None] * scene.points)
+    paths = scene.paths
+    for part, scale in enumerate(factor.tolist()) if paths is not None else ():
+        paths = paths and paths.transformed(scale, np.eye(scene.d), np.zeros(scene.d), scene.track_component == part)
+    centers, points = of_view[:, None] * scene.centers, of_track[:, None] * scene.points
+    return replace(scene, centers=centers, points=points, paths=paths)
 
 
 def fit_to_control(scene: Scene, control: Control) -> Scene:
@@ -443,7 +447,7 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
     centers, places = np.full_like(scene.centers, np.nan), np.full_like(scene.points, np.nan)
     centers[views], places[points] = view_positions, point_positions
     rotation, known = np.array(scene.cam_from_world), False
-    center, point = np.array(scene.centers), np.array(scene.points)
+    center, point, paths = np.array(scene.centers), np.array(scene.points), scene.paths
     for part in range(scene.n_components):
         in_views, in_points = scene.view_component == part, scene.track_component == part
         found = np.concatenate((scene.centers[in_views], scene.points[in_points]))
@@ -455,6 +459,7 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
         scale, turn, shift = _similarity(found[given], truth[given], turns=control.rotation)
         center[in_views] = scale * scene.centers[in_views] @ turn.T + shift
         point[in_points] = scale * scene.points[in_points] @ turn.T + shift
+        paths = None if paths is None else paths.transformed(scale, turn, shift, in_points)
         if scene.d == 2:
             rotation[in_views] += np.arctan2(turn[1, 0], turn[0, 0])
         else:
@@ -463,7 +468,7 @@ def fit_to_control(scene: Scene, control: Control) -> Scene:
         raise InputError(
             "control: fewer than two of the known positions belong to one solved part, expected at least two"
         )
-    return replace(scene, centers=center, points=point, cam_from_world=rotation)
+    return replace(scene, centers=center, points=point, cam_from_world=rotation, paths=paths)
 
 
 def _similarity(source: Float, target: Float, *, turns: bool) -> tuple[float, Float, Float]:

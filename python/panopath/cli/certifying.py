@@ -29,7 +29,7 @@ from panopath.formats import (
     write_scene,
 )
 from panopath.model import Float, PositionOptions, Scene
-from panopath.report import draw_certificate, draw_scene
+from panopath.report import ReportNotes, draw_certificate, draw_scene, write_report
 from panopath.steps import CertifyOptions, certify
 
 
@@ -86,11 +86,18 @@ def write_folder(  # noqa: PLR0917 (what is written, and how)
     overwrite: bool,
     drawing: Drawing | None,
 ) -> bool:
-    """Write the folder; the pictures belong to it where matplotlib is there. Returns whether they do."""
+    """Write the folder; the pictures belong to it where matplotlib is there. Returns whether they do.
+
+    Where bodies may move there is a report too: pictures do not move.
+    """
     drawn = False
 
     def draw(folder: Path) -> None:
         nonlocal drawn
+        if scene.paths is not None:
+            unit = "" if drawing is None else drawing.unit
+            notes = ReportNotes("Camera path, space and bodies that move", unit=unit)
+            write_report(scene, certificate, folder / "report.html", settings=options.to_dict(), notes=notes)
         if drawing is not None:
             try:
                 draw_scene(scene, folder, drawing.truth, drawing.unit)

@@ -95,7 +95,8 @@ def simulate_command(
             write_orientations(made.cam_from_world, made.tracks.view_labels(), orientations)
         told = made.tracks if camera_frame else made.tracks.to_world(made.cam_from_world)
         _write_bearings(told, out, form)
-        truth = known_scene(made.tracks, made.cam_from_world, made.centers, made.points, ~made.outlier)
+        paths = made.paths if made.moving.any() and not made.outlier[made.moving[made.tracks.track]].any() else None
+        truth = known_scene(made.tracks, made.cam_from_world, made.centers, made.points, ~made.outlier, paths=paths)
         write_scene(truth, truth_folder, overwrite=overwrite)
     plain = {
         "out": str(out),

@@ -31,6 +31,7 @@ from panopath.formats.csv import rotation_from_quaternion
 from panopath.formats.files import read_bytes
 from panopath.formats.structure import known_scene
 from panopath.model import Float, Problem, Scene, Tracks
+from panopath.movers import resting
 
 _PARTS = ("cameras", "images", "points3D")
 _PLACES = ("", "sparse/0", "sparse", "0")
@@ -308,7 +309,7 @@ def write_colmap(
     """Write one component as a binary model with one EQUIRECTANGULAR camera of ``width`` x ``width / 2`` pixels.
 
     An image is a view; all its observations are features, and those that were used belong to their point. ``colours``
-    are (n_tracks, 3) red, green and blue of the points; without them they are grey.
+    are (n_tracks, 3) red, green and blue of the points; without them they are grey. Bodies that move are left out.
 
     Raises
     ------
@@ -323,7 +324,8 @@ def write_colmap(
     order = np.flatnonzero(seen)[np.argsort(tracks.view[seen], kind="stable")]
     view, track = tracks.view[order], tracks.track[order]
     starts = np.searchsorted(view, np.arange(tracks.n_views + 1))
-    used = scene.inlier[order] & (scene.track_component[track] == component)
+    # a body that moves has no place in a model: its features belong to no point
+    used = scene.inlier[order] & ((scene.track_component == component) & resting(scene))[track]
     labels = scene.view_labels()
     images = ModelImages(
         image_id=views + 1,

@@ -26,6 +26,7 @@ from panopath.formats.nerfstudio import Shot, write_transforms
 from panopath.formats.ply import cloud_bytes
 from panopath.images import Images, Picture, check_panorama, encoded, image_source, load_opencv
 from panopath.model import Float, Scene, Tracks
+from panopath.movers import left_out, resting
 
 CropKind = Literal["cube", "perspective"]
 #: COLMAP's number of the PINHOLE model: fx, fy, cx, cy.
@@ -112,6 +113,8 @@ class Crops:
     #: Points that a crop sees.
     n_points: int
     n_observations: int
+    #: Tracks that were left out because they move, or are not known to rest.
+    n_left_out: int = 0
 
 
 def crop_from_cam(azimuth_deg: float, elevation_deg: float) -> Float:
@@ -136,7 +139,8 @@ def write_crops(
 
     ``folder/images/`` holds the crops, ``folder/sparse/0/`` the model (cameras, images, points3D), which Gaussian
     splatting programs open as they are; ``folder/transforms.json`` and ``folder/points.ply`` say the same to
-    nerfstudio. A crop has those observations as features that were used and that fall into it.
+    nerfstudio. A crop has those observations as features that were used and that fall into it. Bodies that move are
+    left out of all of them, though pictures still show them: masks can keep them from a trainer.
 
     Parameters
     ----------
@@ -177,6 +181,7 @@ def write_crops(
     for name in ("images",) if masks is None else ("images", "masks"):
         _make_folder(place / name)
     colours, stems = ColourSum(scene), _stems(scene, views)
+    shown = (scene.track_component == component) & resting(scene)
     cutter: _Cutter | None = None
     crops: list[_Crop] = []
     for done, view in enumerate(views.tolist()):
@@ -187,7 +192,7 @@ def write_crops(
             cutter.check_size(picture, label)
             colours.add(view, picture)
             rows = colours.observations(view)
-            rows = rows[scene.track_component[scene.tracks.track[rows]] == component]
+            rows = rows[shown[scene.tracks.track[rows]]]
             made = _cut_view(cutter, picture, place, stems[view], scene=scene, view=view, rows=rows)
             mask = None if mask_source is None else mask_source(view)
             crops += made if mask is None else _with_masks(made, cutter, mask, place, label)
@@ -203,7 +208,7 @@ def write_crops(
     write_transforms(
         place / "transforms.json", shots, "PINHOLE", width_px=size, height_px=size, focal_px=focal, ply="points.ply"
     )
-    return Crops(place, len(crops), size, focal, n_points, n_observations)
+    return Crops(place, len(crops), size, focal, n_points, n_observations, left_out(scene, component))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """The folder of an answer: tables for people, files for other programs, and ``scene.npz`` to come back exactly.
 
-``cameras.csv points.csv scene.json scene.npz scene.ply trajectory.tum colmap/0 colmap/1 ...`` (a model a component).
+``cameras.csv points.csv scene.json scene.npz scene.ply trajectory.tum colmap/0 colmap/1 ...`` (a model a component),
+and ``paths.csv`` where bodies may move. These have no place in the files of points at rest.
 ``scene.json`` marks the folder as panopath's and lists what belongs to it; nothing else in the folder is touched.
 """
 
@@ -15,6 +16,7 @@ import shutil
 import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -28,9 +30,11 @@ from panopath.certificate import Certificate
 from panopath.errors import InputError
 from panopath.formats.colmap import write_colmap
 from panopath.formats.csv import quaternion_from_rotation, quoted, table_bytes
+from panopath.formats.paths import path_arrays, paths_csv, paths_dict, paths_of_arrays
 from panopath.formats.ply import check_colours, ply_bytes
 from panopath.formats.tum import tum_text
 from panopath.model import Float, PositionOptions, Scene, Status, Summary, Tracks, summary_dict
+from panopath.paths import PathVerdict
 
 _MARK = "scene.json"
 _CERTIFICATE = "certificate.json"
@@ -154,7 +158,7 @@ def read_scene(folder: str | PathLike[str]) -> Scene:
         return scene_of_arrays(arrays, summary_of(mark["summary"]))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: is damaged ({error})") from None
 
 
@@ -229,9 +233,8 @@ def read_certificate(folder: str | PathLike[str]) -> dict[str, Any]:
 
 
 def _with_tracks(scene: Scene, tracks: Tracks) -> Scene:
-    fields = {name: getattr(scene, name) for name in (*_SCENE_ARRAYS, "summary")}
-    return Scene(
-        **fields,
+    return replace(
+        scene,
         tracks=tracks,
         view_names=scene.view_names or tracks.view_names,
         track_names=scene.track_names or tracks.track_names,
@@ -277,6 +280,8 @@ def _write_files(scene: Scene, folder: Path, colours: npt.NDArray[np.uint8] | No
     np.savez(folder / "scene.npz", allow_pickle=False, **scene_arrays(scene))
     (folder / "cameras.csv").write_bytes(_cameras_csv(scene))
     (folder / "points.csv").write_bytes(_points_csv(scene))
+    if scene.paths is not None:
+        (folder / "paths.csv").write_bytes(paths_csv(scene))
     (folder / "scene.ply").write_bytes(ply_bytes(scene, colours))
     (folder / "trajectory.tum").write_text(tum_text(scene), encoding="utf-8")
     if scene.d == 3 and scene.tracks is not None:
@@ -301,6 +306,8 @@ def scene_arrays(scene: Scene) -> dict[str, npt.NDArray[Any]]:
             for name, value in (("sigma_rad", tracks.sigma_rad), ("time_s", tracks.time_s))
             if value is not None
         }
+    if scene.paths is not None:
+        arrays |= path_arrays(scene.paths)
     return arrays
 
 
@@ -309,8 +316,8 @@ def scene_of_arrays(arrays: dict[str, Any], summary: Summary) -> Scene:
 
     Raises
     ------
-    KeyError
-        Where an array is absent.
+    LookupError, ValueError
+        Where an array is absent, or they do not go together.
     """
     return Scene(
         **{name: arrays[name] for name in _SCENE_ARRAYS},
@@ -318,6 +325,7 @@ def scene_of_arrays(arrays: dict[str, Any], summary: Summary) -> Scene:
         tracks=_tracks(arrays),
         view_names=_names(arrays, "view_names"),
         track_names=_names(arrays, "track_names"),
+        paths=paths_of_arrays(arrays),
     )
 
 
@@ -364,6 +372,9 @@ def _scene_json(
         "options": None if options is None else options.to_dict(),
         "files": sorted(files),
     }
+    told = paths_dict(scene)
+    if told is not None:
+        content["paths"] = told
     if certificate is not None:
         content["certificate"] = _certificate(certificate, scene)
     return _json(content)
@@ -411,6 +422,8 @@ def _points_csv(scene: Scene) -> bytes:
     texts = np.array(["", "outliers", "two_views", "outliers two_views"], dtype=object)
     flags = texts[has_outliers + 2 * few]
     flags[~solved] = "undetermined"
+    if scene.paths is not None:
+        flags = flags + _path_flags(scene.paths.verdicts, flags)
     cells = [
         quoted(scene.track_labels()),
         *_number_cells(scene.points),
@@ -421,6 +434,13 @@ def _points_csv(scene: Scene) -> bytes:
         flags.tolist(),
     ]
     return table_bytes(header, zip(*cells, strict=True))
+
+
+def _path_flags(verdicts: Sequence[PathVerdict], flags: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Flag tracks that are not at rest; to be put behind other flags."""
+    silent = (PathVerdict.STATIC, PathVerdict.UNDETERMINED)
+    words = ["" if one in silent else one.value for one in verdicts]
+    return np.array([f" {w}" if w and flag else w for w, flag in zip(words, flags, strict=True)], dtype=object)
 
 
 def _axes(d: int) -> list[str]:

@@ -1,4 +1,7 @@
-"""PLY: points in the colours of the pictures or by their angular error, and the cameras as a path of edges."""
+"""PLY: points in the colours of the pictures or by their angular error, and the cameras as a path of edges.
+
+Bodies that move are no points; a comment in the header says how many were left out.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy.typing as npt
 
 from panopath.errors import InputError
 from panopath.model import Float, Scene
+from panopath.movers import left_out, resting
 
 _VERTEX = np.dtype(
     [
@@ -69,7 +73,7 @@ def ply_bytes(scene: Scene, colours: npt.NDArray[np.uint8] | None = None) -> byt
     InputError
         For colours of another shape or type.
     """
-    points = np.flatnonzero(np.isfinite(scene.points).all(axis=1))
+    points = shown_points(scene)
     views = np.flatnonzero(np.isfinite(scene.centers).all(axis=1))
     error_deg = np.degrees(scene.point_statistics().rms_rad[points])
     vertices = np.zeros(len(points) + len(views), dtype=_VERTEX)
@@ -89,7 +93,12 @@ def ply_bytes(scene: Scene, colours: npt.NDArray[np.uint8] | None = None) -> byt
     vertices["error_deg"] = np.concatenate((error_deg, np.full(len(views), np.nan)))
     vertices["component"] = np.concatenate((scene.track_component[points], scene.view_component[views]))
     vertices["is_camera"][len(points) :] = 1
-    return _file((("vertex", vertices), ("edge", lines)))
+    return _file((("vertex", vertices), ("edge", lines)), left_out(scene))
+
+
+def shown_points(scene: Scene) -> npt.NDArray[np.intp]:
+    """Tracks that a file of points shows: those that are determined, and at rest."""
+    return np.flatnonzero(np.isfinite(scene.points).all(axis=1) & resting(scene))
 
 
 def cloud_bytes(scene: Scene, colours: npt.NDArray[np.uint8], component: int | None = None) -> bytes:
@@ -107,14 +116,14 @@ def cloud_bytes(scene: Scene, colours: npt.NDArray[np.uint8], component: int | N
     InputError
         For colours of another shape or type.
     """
-    known = np.isfinite(scene.points).all(axis=1)
-    points = np.flatnonzero(known if component is None else known & (scene.track_component == component))
+    points = shown_points(scene)
+    points = points if component is None else points[scene.track_component[points] == component]
     vertices = np.zeros(len(points), dtype=_CLOUD)
     for axis, name in zip(range(scene.d), ("x", "y", "z"), strict=False):
         vertices[name] = scene.points[points, axis]
     for c, name in enumerate(("red", "green", "blue")):
         vertices[name] = check_colours(colours, scene)[points, c]
-    return _file((("vertex", vertices),))
+    return _file((("vertex", vertices),), left_out(scene, component))
 
 
 def check_colours(colours: npt.NDArray[np.uint8], scene: Scene) -> npt.NDArray[np.uint8]:
@@ -132,8 +141,10 @@ def check_colours(colours: npt.NDArray[np.uint8], scene: Scene) -> npt.NDArray[n
     return colours
 
 
-def _file(tables: Sequence[tuple[str, npt.NDArray[Any]]]) -> bytes:
+def _file(tables: Sequence[tuple[str, npt.NDArray[Any]]], n_left_out: int) -> bytes:
     header = ["ply", "format binary_little_endian 1.0", "comment panopath"]
+    if n_left_out:
+        header.append(f"comment {n_left_out} tracks not known to rest are left out")
     for name, table in tables:
         header.append(f"element {name} {len(table)}")
         header += [f"property {_PLY_TYPES[table.dtype[field].str]} {field}" for field in table.dtype.names or ()]

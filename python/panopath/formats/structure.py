@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from panopath.errors import InputError
 from panopath.model import Bool, Float, Scene, Status, Summary, Tracks, check_orientations
+from panopath.paths import Paths
 
 
 def known_scene(
@@ -15,6 +16,8 @@ def known_scene(
     centers: npt.ArrayLike,
     points: npt.ArrayLike,
     inlier: npt.ArrayLike | None = None,
+    *,
+    paths: Paths | None = None,
 ) -> Scene:
     """Make a scene of known centres and points, with the residuals of ``tracks`` in it; all in one component.
 
@@ -28,6 +31,8 @@ def known_scene(
         (n_views, d) and (n_tracks, d), NaN rows where unknown.
     inlier
         (N,) bool; default: every observation of a known view and point.
+    paths
+        Where tracks that move were; residuals are against these. ``points`` holds their places half way.
 
     Raises
     ------
@@ -40,6 +45,8 @@ def known_scene(
             raise InputError(f"{name} has shape {array.shape}, expected {(count, tracks.d)}")
     world = tracks if cam_from_world is None else tracks.to_world(cam_from_world)
     residual_rad = angular_residuals(world, c, p)
+    if paths is not None:
+        _against_paths(residual_rad, world, c, paths)
     known_views, known_points = np.isfinite(c).all(axis=1), np.isfinite(p).all(axis=1)
     used: Bool = np.isfinite(residual_rad) if inlier is None else np.array(inlier, dtype=np.bool_)
     sigma_rad = float(np.sqrt(np.mean(residual_rad[used] ** 2) / (tracks.d - 1))) if used.any() else float("nan")
@@ -71,7 +78,20 @@ def known_scene(
         tracks=tracks,
         view_names=tracks.view_names,
         track_names=tracks.track_names,
+        paths=paths,
     )
+
+
+def _against_paths(residual_rad: Float, world_tracks: Tracks, centers: Float, paths: Paths) -> None:
+    """Put residuals of tracks that move in the place of those against a place at rest."""
+    if world_tracks.time_s is None:
+        raise InputError("tracks.time_s is None, expected the time of every view where tracks move")
+    rows = np.flatnonzero(paths.moving[world_tracks.track])
+    rows = rows[np.argsort(world_tracks.track[rows], kind="stable")]
+    for mine in np.split(rows, np.flatnonzero(np.diff(world_tracks.track[rows])) + 1) if len(rows) else ():
+        view, track = world_tracks.view[mine], int(world_tracks.track[mine[0]])
+        places = paths.position(track, world_tracks.time_s[view], outside=True)
+        residual_rad[mine] = _angles(world_tracks.bearing[mine], places - centers[view])
 
 
 def angular_residuals(world_tracks: Tracks, centers: Float, points: Float) -> Float:
@@ -82,8 +102,13 @@ def angular_residuals(world_tracks: Tracks, centers: Float, points: Float) -> Fl
         for begin in range(0, len(residual), block):
             rows = slice(begin, begin + block)
             ray = points[world_tracks.track[rows]] - centers[world_tracks.view[rows]]
-            ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-            bearing = world_tracks.bearing[rows]
-            apart, along = np.linalg.norm(bearing - ray, axis=1), np.linalg.norm(bearing + ray, axis=1)
-            residual[rows] = 2.0 * np.arctan2(apart, along)
+            residual[rows] = _angles(world_tracks.bearing[rows], ray)
     return residual
+
+
+def _angles(bearing: Float, ray: Float) -> Float:
+    """(n,) angle between unit vectors and directions of any length."""
+    unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    apart, along = np.linalg.norm(bearing - unit, axis=1), np.linalg.norm(bearing + unit, axis=1)
+    angle: Float = 2.0 * np.arctan2(apart, along)
+    return angle

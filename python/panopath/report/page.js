@@ -5,14 +5,21 @@
   const canvases = [...document.querySelectorAll("canvas")];
   if (!canvases.length) return;
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  // bodies that move: their places one after the other, and where each one's begin
+  const bodies = (moving) => {
+    const whole = new Uint16Array(bytes(moving.places).buffer), starts = [0];
+    moving.counts.forEach((n) => starts.push(starts[starts.length - 1] + n));
+    return { ...moving, starts, at: (k) => [0, 1, 2].map((c) => moving.low[c] + moving.step[c] * whole[3 * k + c]) };
+  };
   const parts = data.parts.map((part) => ({
     ...part,
     at: new Uint16Array(bytes(part.points).buffer),
     rgb: part.rgb ? bytes(part.rgb) : null,
     error: bytes(part.error),
+    moving: part.moving && bodies(part.moving),
   }));
   const thumbOf = new Map(data.thumbs.map((t) => [t.view, t]));
-  const state = { part: 0, colour: data.colours ? "picture" : "error", picked: -1, boxes: [] };
+  const state = { part: 0, colour: data.colours ? "picture" : "error", picked: -1, boxes: [], now: 0 };
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   // blue, green, yellow, red: small error to large
@@ -29,6 +36,7 @@
     const said = [drawn, part.total].map((n) => n.toLocaleString("en"));
     shown.textContent = drawn < part.total ? `${said[0]} of ${said[1]} points drawn` : "";
     state.boxes = parts[state.part].boxes.map((b) => [...b]);
+    begin();
   };
   const pixels = (canvas, side) => {
     const [left, low, right, high] = state.boxes[side];
@@ -87,8 +95,62 @@
     }
     const picked = part.views.indexOf(state.picked);
     if (picked >= 0) dot(picked, 7, css("--accent"), css("--card"));
+    if (part.moving) move(pen, part, (place) => view.to(flat(place, side)), ratio);
     bar(pen, canvas, view.per, ratio, ink);
   }
+
+  // where a body is at a time, as a number among its places; -1 when it was not seen
+  const place = (moving, k, now) => {
+    const [first, last] = moving.seen[k];
+    if (now < first || now > last) return -1;
+    return last > first ? ((now - first) / (last - first)) * (moving.counts[k] - 1) : 0;
+  };
+  const between = (get, along) => {
+    const k = Math.floor(along), s = along - k, a = get(k), b = s ? get(k + 1) : a;
+    return a.map((v, c) => v + s * (b[c] - v));
+  };
+  const hues = ["#0ca678", "#ae3ec9", "#e03131", "#e8a200", "#1098ad", "#74a90f", "#d6336c"];
+
+  function move(pen, part, to, ratio) {
+    const moving = part.moving, now = state.now, few = moving.counts.length <= 60, span = moving.span[1] - moving.span[0];
+    const line = (k, from, until, alpha) => {
+      const get = (j) => moving.at(moving.starts[k] + j);
+      pen.globalAlpha = alpha;
+      pen.beginPath();
+      pen.moveTo(...to(between(get, from)));
+      for (let j = Math.floor(from) + 1; j < until; j++) pen.lineTo(...to(get(j)));
+      pen.lineTo(...to(between(get, until)));
+      pen.stroke();
+    };
+    pen.lineWidth = 1.4 * ratio;
+    moving.counts.forEach((count, k) => {
+      pen.strokeStyle = hues[moving.colours[k] % hues.length];
+      // of many bodies only the last moments are drawn
+      const [first, last] = moving.seen[k], since = Math.max(first, few ? first : now - 0.08 * span);
+      if (few) line(k, 0, count - 1, 0.22);
+      if (now > since && since <= last) line(k, place(moving, k, since), place(moving, k, Math.min(now, last)), 0.7);
+    });
+    pen.globalAlpha = 1;
+    pen.lineWidth = ratio;
+    pen.strokeStyle = css("--card");
+    moving.counts.forEach((_, k) => {
+      const along = place(moving, k, now);
+      if (along >= 0) mark(pen, to(between((j) => moving.at(moving.starts[k] + j), along)), (few ? 4 : 2.6) * ratio,
+        hues[moving.colours[k] % hues.length]);
+    });
+    if (!moving.views) return;
+    const next = moving.views.findIndex((t) => t >= now), i = next < 0 ? moving.views.length - 1 : next;
+    const [a, b] = [moving.views[Math.max(0, i - 1)], moving.views[i]];
+    const share = b > a ? Math.min(1, (now - a) / (b - a)) : 1;
+    mark(pen, to(between((j) => part.path[Math.min(j, part.path.length - 1)], Math.max(0, i - 1 + share))), 7 * ratio, css("--accent"));
+  }
+  const mark = (pen, [x, y], radius, fill) => {
+    pen.beginPath();
+    pen.arc(x, y, radius, 0, 2 * Math.PI);
+    pen.fillStyle = fill;
+    pen.fill();
+    pen.stroke();
+  };
 
   function bar(pen, canvas, per, ratio, ink) {
     const rough = (0.22 * canvas.width) / per, ten = 10 ** Math.floor(Math.log10(rough));
@@ -101,6 +163,48 @@
     pen.stroke();
     pen.font = `${12 * ratio}px system-ui, sans-serif`;
     pen.fillText(`${Number(length.toPrecision(2))}${data.unit ? ` ${data.unit}` : ""}`, x + 5 * ratio, y - 6 * ratio);
+  }
+
+  // the clock
+  const [time, play] = ["time", "play"].map((id) => document.getElementById(id));
+  const at = (share) => {
+    const moving = parts[state.part].moving;
+    if (!time || !moving) return;
+    state.now = moving.span[0] + share * (moving.span[1] - moving.span[0]);
+    time.value = Math.round(1000 * share);
+    const seen = moving.counts.filter((_, k) => place(moving, k, state.now) >= 0).length;
+    document.getElementById("now").textContent = `${state.now.toFixed(2)} s, ${seen} seen`;
+    redraw();
+  };
+  const begin = () => {
+    if (!time) return;
+    const moving = parts[state.part].moving;
+    document.getElementById("clock").hidden = !moving;
+    document.getElementById("moving").textContent = !moving ? "" : "Blue: the camera at this time. Discs: bodies, one "
+      + "colour each, with the way they came" + (moving.counts.length < moving.total
+        ? `; ${moving.counts.length.toLocaleString("en")} of ${moving.total.toLocaleString("en")} drawn.` : ".");
+    at(time.value / 1000);
+  };
+  // the whole takes twelve seconds
+  let playing = 0, share = 0;
+  const step = (clock) => {
+    if (!playing) return;
+    share = Math.min(1, share + (clock - playing) / 12000);
+    playing = clock;
+    at(share);
+    if (share < 1) requestAnimationFrame(step); else run(false);
+  };
+  const run = (on) => {
+    playing = on ? performance.now() : 0;
+    play.textContent = on ? "Pause" : "Play";
+    play.setAttribute("aria-pressed", on);
+    if (!on) return;
+    share = time.value >= 1000 ? 0 : time.value / 1000;
+    requestAnimationFrame(step);
+  };
+  if (time) {
+    time.addEventListener("input", () => { run(false); at(time.value / 1000); });
+    play.addEventListener("click", () => run(!playing));
   }
 
   let asked = false;

@@ -28,7 +28,9 @@ from panopath.certificate_text import LOOSE_VIEW
 from panopath.errors import InputError
 from panopath.images import Images, ImageSource, encoded, image_source, load_opencv
 from panopath.model import Float, Scene, Status
+from panopath.movers import resting
 from panopath.report import page_figures as figures
+from panopath.report.page_paths import Bodies, bodies_data, bodies_of, paths_section
 from panopath.report.pictures import _axes, _in_time_order
 
 #: Points drawn of a part, and parts offered.
@@ -124,6 +126,7 @@ def write_report(
             _banner(scene, certificate),
             _facts(scene, parts, said),
             _map_section(scene, parts, colours is not None),
+            paths_section(scene, said.unit),
             _thumb_section(thumbs, parts),
             _chosen(said),
             _charts(scene, parts),
@@ -211,8 +214,10 @@ def _facts(scene: Scene, parts: Sequence[_Part], notes: ReportNotes) -> str:
     solved = int(np.isfinite(scene.centers).all(axis=1).sum())
     facts = [
         (f"{solved:,} of {len(scene.centers):,}", "views placed"),
-        (f"{int(np.isfinite(scene.points).all(axis=1).sum()):,}", "points"),
+        (f"{int((np.isfinite(scene.points).all(axis=1) & resting(scene)).sum()):,}", "points"),
     ]
+    if scene.paths is not None:
+        facts.append((f"{int(scene.paths.moving.sum()):,}", "tracks that move"))
     known = np.isfinite(scene.residual_rad)
     if known.any():
         facts.append((f"{100.0 * scene.inlier[known].mean():.3g} %", "observations used"))
@@ -255,6 +260,8 @@ class _Part:
     #: (n, 3) and (m, 3); up is 0 in the plane.
     path: Float
     points: Float
+    #: What moves, where anything does.
+    bodies: Bodies | None = None
 
 
 def _parts(scene: Scene, is_upright: bool) -> list[_Part]:
@@ -265,10 +272,11 @@ def _parts(scene: Scene, is_upright: bool) -> list[_Part]:
     for index in np.argsort(-sizes, kind="stable")[:_MOST_PARTS].tolist():
         members = (scene.view_component == index) & np.isfinite(scene.centers).all(axis=1)
         views = _in_order(scene, np.flatnonzero(members))
-        tracks = np.flatnonzero((scene.track_component == index) & np.isfinite(scene.points).all(axis=1))
+        placed = (scene.track_component == index) & np.isfinite(scene.points).all(axis=1) & resting(scene)
+        tracks = np.flatnonzero(placed)
         if len(views):
             path, points = scene.centers[views] @ axes.T, scene.points[tracks] @ axes.T
-            parts.append(_Part(index, views, tracks, path, points))
+            parts.append(_Part(index, views, tracks, path, points, bodies_of(scene, index, axes)))
     return parts
 
 
@@ -287,7 +295,8 @@ def _part_data(
     # far points would take the digits of near ones: what lies beyond every picture is not drawn
     drawings = _drawings(part, scene.d)
     reach = 6.0 * max(max(box[2] - box[0], box[3] - box[1]) for _, box in drawings)
-    near = np.abs(part.points[shown] - part.path.mean(axis=0)).max(axis=1) <= reach
+    middle = part.path.mean(axis=0)
+    near = np.abs(part.points[shown] - middle).max(axis=1) <= reach
     shown = shown[near]
     points = part.points[shown]
     low = points.min(axis=0) if len(points) else np.zeros(3)
@@ -303,6 +312,7 @@ def _part_data(
     counts = scene.view_statistics().n_inliers[views]
     labels = scene.view_labels()
     return {
+        "moving": None if part.bodies is None else bodies_data(scene, part.bodies, views, middle, reach),
         "points": _base64(((points - low) / step).round().astype("<u2").tobytes()),
         "total": len(part.tracks),
         "low": low.tolist(),
@@ -339,7 +349,8 @@ def _drawings(part: _Part, d: int) -> list[tuple[Float, list[float]]]:
 
 def _box(part: _Part, axes: Float) -> list[float]:
     """Left, low, right and high of a picture: the path, and the points around it."""
-    path, points = part.path @ axes.T, part.points @ axes.T
+    places = part.points if part.bodies is None else np.concatenate((part.points, part.bodies.places))
+    path, points = part.path @ axes.T, places @ axes.T
     low, high = path.min(axis=0), path.max(axis=0)
     size = float((high - low).max())
     if len(points):
@@ -384,7 +395,14 @@ def _map_section(scene: Scene, parts: Sequence[_Part], has_colours: bool) -> str
         "<p class=quiet>White: first view, black: last, red: held loosely. Drag to move, double click or Ctrl + wheel "
         "to zoom, point at the path for its views.</p>"
     )
-    return f"<section id=map><h2>Path and points</h2>{note}{bar}<div class=maps>{maps}</div></section>"
+    clock = ""
+    if any(part.bodies is not None for part in parts):
+        clock = (
+            "<div class=bar id=clock><button id=play aria-pressed=false>Play</button>"
+            '<input type=range id=time class=grow min=0 max=1000 value=500 step=1 aria-label="time">'
+            "<output id=now></output></div><p class=quiet id=moving></p>"
+        )
+    return f"<section id=map><h2>Path and points</h2>{note}{bar}<div class=maps>{maps}</div>{clock}</section>"
 
 
 # pictures

@@ -1,4 +1,7 @@
-"""Pictures of a scene: path and points from above and from the side, and how well each point fits (extra ``plot``)."""
+"""Pictures of a scene: path and points from above and from the side, and how well each point fits (extra ``plot``).
+
+Bodies that move are drawn as the ways they went, each from a dot where it was first seen.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ import numpy.typing as npt
 
 from panopath.errors import MissingExtraError
 from panopath.model import Float, Scene
+from panopath.movers import resting
+from panopath.report.page_paths import Bodies, bodies_of
 
 #: Parts drawn, the largest first.
 _MOST_PARTS = 4
@@ -21,6 +26,7 @@ _MOST_POINTS = 30_000
 _PART_COLOURS = ("#1f5fa8", "#c2571a", "#2e8b57", "#7a3f98")
 _PATH_COLOUR = "#111111"
 _TRUTH_COLOUR = "#e0218a"
+_BODY_COLOURS = ("#d9480f", "#0b7a75", "#7a3f98", "#b8860b", "#2f9e44", "#1098ad")
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,7 @@ class _Part:
     truth: Float
     points: Float
     error_deg: Float
+    bodies: Bodies | None = None
 
 
 def draw_scene(
@@ -92,7 +99,8 @@ def _parts(scene: Scene, true_centers: Float) -> list[_Part]:
         views = _in_time_order(
             scene, np.flatnonzero((scene.view_component == index) & np.isfinite(scene.centers).all(axis=1))
         )
-        points = np.flatnonzero((scene.track_component == index) & np.isfinite(scene.points).all(axis=1))
+        placed = (scene.track_component == index) & np.isfinite(scene.points).all(axis=1) & resting(scene)
+        points = np.flatnonzero(placed)
         parts.append(
             _Part(
                 index,
@@ -100,6 +108,7 @@ def _parts(scene: Scene, true_centers: Float) -> list[_Part]:
                 true_centers[views] @ axes.T,
                 scene.points[points] @ axes.T,
                 error_deg[points],
+                bodies_of(scene, index, axes),
             )
         )
     return parts
@@ -172,6 +181,7 @@ def _draw_views(figure_class: Any, scene: Scene, parts: list[_Part], unit: str) 
                 rasterized=True,
                 label="points",
             )
+            _draw_bodies(panel, part, right, up)
             _draw_path(panel, part, right, up)
             _frame(panel, middle, half, (right, up), _axis_names(scene, unit))
             name = f"part {part.index + 1} {title}" if scene.n_components > 1 else f"{title}"
@@ -179,6 +189,7 @@ def _draw_views(figure_class: Any, scene: Scene, parts: list[_Part], unit: str) 
         outside = int((np.abs(part.points - middle).max(axis=1) > half).sum())
         note = f"{len(part.path):,} views, {len(part.points):,} points"
         note += f" ({outside:,} farther away)" if outside else ""
+        note += f", {part.bodies.total:,} tracks that move" if part.bodies is not None else ""
         panels[row][0].text(
             0.015,
             0.015,
@@ -192,6 +203,18 @@ def _draw_views(figure_class: Any, scene: Scene, parts: list[_Part], unit: str) 
             handle.set_alpha(1.0)
             handle.set_markersize(max(5.0, handle.get_markersize()))
     return figure
+
+
+def _draw_bodies(panel: Any, part: _Part, right: int, up: int) -> None:
+    if part.bodies is None:
+        return
+    ways = np.split(part.bodies.places, np.cumsum(part.bodies.counts)[:-1])
+    label: str | None = "bodies that move"
+    for way, number in zip(ways, part.bodies.colours.tolist(), strict=True):
+        colour = _BODY_COLOURS[number % len(_BODY_COLOURS)]
+        panel.plot(way[:, right], way[:, up], "-", color=colour, linewidth=1.1, alpha=0.7, label=label, zorder=2)
+        panel.plot(way[:1, right], way[:1, up], "o", color=colour, markersize=3.0, zorder=2)
+        label = None
 
 
 def _draw_path(panel: Any, part: _Part, right: int, up: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -15,13 +16,16 @@ from panopath.errors import InputError
 from panopath.formats.colmap import find_model
 from panopath.formats.detect import read_problem
 from panopath.formats.folder import is_scene_folder, read_certificate, read_scene
-from panopath.formats.ply import error_colours
+from panopath.formats.ply import error_colours, shown_points
 from panopath.images import check_panorama, encoded, load_opencv, read_image
 from panopath.model import Float, Scene
+from panopath.movers import at_rest
+from panopath.paths import PathVerdict
 from panopath.steps.refinement import RefineOptions, scene_covariance
 from panopath.viewer.shapes import Colours
 
 _PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uchar": "u1"}
+_PLACED = (PathVerdict.MOVING, PathVerdict.STATIC)
 _SUFFIXES = ("", ".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 
 
@@ -37,11 +41,13 @@ class Content:
     images: tuple[Path | None, ...]
     #: What ``scene.json`` holds of the certificate, None where it holds nothing.
     certificate: Mapping[str, Any] | None
-    #: What a person should know of the folder.
+    #: What a person should know of the folder and the scene.
     notes: tuple[str, ...] = ()
 
     def covariances(self) -> tuple[Float, Float]:
-        """(n_views, d, d) of the centres and (n_tracks, d, d) of the points, NaN where not known.
+        """(n_views, d, d) of the centres and (n_tracks, d, d) of the points, NaN where not known; nothing of movers.
+
+        Bodies that move add little to what is known of the cameras, and are left out here.
 
         Raises
         ------
@@ -56,7 +62,7 @@ class Content:
         ):
             raise InputError("the noise of the bearings is not known")
         known = self.certificate is not None and self.certificate.get("orientation") == "known"
-        found = scene_covariance(scene.tracks, scene, RefineOptions(hold_rotations=known))
+        found = scene_covariance(scene.tracks, at_rest(scene), RefineOptions(hold_rotations=known))
         first = found.cameras.shape[1] - scene.d
         return found.cameras[:, first:, first:], found.points
 
@@ -111,7 +117,19 @@ def read_content(folder: str | PathLike[str], images: str | PathLike[str] | None
     if images is not None and not Path(images).is_dir():
         raise InputError(f"{images}: there is no such folder of images")
     pictures = _recorded_images(place) if images is None else Path(images)
+    notes += _told_of_paths(scene)
     return Content(place, scene, colours, _images(pictures, scene), certificate, tuple(notes))
+
+
+def _told_of_paths(scene: Scene) -> list[str]:
+    """Say how many bodies move, what was refused, and under which assumption."""
+    if scene.paths is None:
+        return []
+    count = Counter(scene.paths.verdicts)
+    told = [f"{count[PathVerdict.MOVING]:,} tracks move"]
+    told += [f"{count[one]:,} {one.value}" for one in PathVerdict if count[one] and one not in _PLACED]
+    assumed = f"; taken to be so: {scene.paths.assumption}" if scene.paths.assumption else ""
+    return [", ".join(told) + assumed]
 
 
 def _scene(place: Path) -> Scene:
@@ -169,7 +187,7 @@ def _colours(path: Path, scene: Scene) -> Colours | None:
     end = elements[1] if len(elements) > 1 else len(words)
     row = np.dtype([(word[2], _PLY_TYPES.get(word[1], "V1")) for word in words[elements[0] + 1 : end]])
     vertices = np.frombuffer(data, dtype=row, count=int(words[elements[0]][2]))
-    points = np.flatnonzero(np.isfinite(scene.points).all(axis=1))
+    points = shown_points(scene)
     if not {"red", "green", "blue", "is_camera"} <= set(row.names or ()):
         raise ValueError("it has no colours")
     if int((vertices["is_camera"] == 0).sum()) != len(points):

@@ -1,7 +1,6 @@
 """What is drawn of a scene, a layer a kind of thing, each in the nodes ``/parts/K/...`` of the parts it belongs to.
 
-Every layer can be hidden, and can show what there is up to a moment. Whatever moves through the scene by itself is one
-more :class:`Layer`, whose nodes follow ``show_until``.
+Every layer can be hidden, and can show what there is up to a moment; bodies that move are where they were then.
 """
 
 from __future__ import annotations
@@ -18,9 +17,11 @@ from panopath.errors import InputError
 from panopath.formats.csv import quaternion_from_rotation
 from panopath.formats.ply import error_colours
 from panopath.model import Float
+from panopath.movers import curve_times
 from panopath.viewer.content import Content
 from panopath.viewer.glb import textured
 from panopath.viewer.shapes import (
+    PALETTE,
     REACH,
     Colours,
     Ids,
@@ -39,6 +40,9 @@ Colouring = Literal["pictures", "parts", "error", "track length"]
 
 #: Points that are shown; of more, some evenly over all of them.
 MOST_POINTS = 150_000
+#: Bodies that are shown, and pieces of the ways they came.
+MOST_BODIES = 2_000
+MOST_PIECES = 20_000
 #: Ellipsoids of points, and of views, that are shown.
 MOST_ELLIPSOIDS = 1_500
 #: Views whose panorama is shown on its sphere.
@@ -242,6 +246,138 @@ def axes(drawing: Drawing) -> Lines:
         )
 
     return Lines(drawing, "axes", made)
+
+
+@dataclass(frozen=True, eq=False)
+class _Movers:
+    """Bodies of a part that are shown."""
+
+    part: int
+    tracks: Ids
+    #: (n, 3) colours of the bodies.
+    colours: Colours
+    #: (m, 2, 3) pieces of the ways they came, as shown; (m,) whose each is, and the second at which it ends.
+    pieces: Float
+    owner: Ids
+    end_s: Float
+
+
+class Bodies:
+    """Bodies that move: a ball a body where it was at the moment, if it was seen then, and the way it came.
+
+    The moment is the time of the view that the slider is at. Where times are not known there are ways alone.
+    """
+
+    def __init__(self, drawing: Drawing) -> None:
+        self._drawing, self._shown, self._last = drawing, True, len(drawing.order) - 1
+        paths = drawing.content.scene.paths
+        self._moving = np.zeros(0, dtype=np.intp) if paths is None else np.flatnonzero(paths.moving)
+        found = [] if paths is None else [self._of(k) for k in range(len(drawing.parts))]
+        self._all = [one for one in found if len(one.tracks)]
+        #: How many are shown, and how many move.
+        self.count, self.total = sum(len(one.tracks) for one in self._all), len(self._moving)
+        mesh = ball(2 if self.count <= 200 else 1)
+        #: Radius of a ball: many must not hide one another.
+        self.radius = float(np.clip(0.08 * (60.0 / max(self.count, 1)) ** (1.0 / 3.0), 0.025, 0.08))
+        self._nodes = []
+        for one in self._all:
+            balls = drawing.server.scene.add_batched_meshes_simple(
+                drawing.node(one.part, "bodies"),
+                mesh.vertices * self.radius,
+                mesh.faces,
+                np.tile([1.0, 0.0, 0.0, 0.0], (len(one.tracks), 1)),
+                np.zeros((len(one.tracks), 3)),
+                batched_scales=np.ones(len(one.tracks), dtype=np.float32),
+                batched_colors=one.colours,
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            ways = drawing.server.scene.add_line_segments(
+                drawing.node(one.part, "ways of bodies"),
+                np.zeros((1, 2, 3), dtype=np.float32),
+                np.zeros((1, 2, 3), dtype=np.uint8),
+                thickness=2.0,
+                thickness_units="screen",
+                visible=False,
+            )
+            self._nodes.append((balls, ways))
+        self.show_until(self._last)
+
+    def _of(self, part: int) -> _Movers:
+        """Choose the bodies of a part, and cut their ways into pieces that are nearly straight."""
+        drawing, scene = self._drawing, self._drawing.content.scene
+        paths = scene.paths
+        assert paths is not None
+        components = np.unique(scene.view_component[drawing.parts[part].views])
+        mine = self._moving[np.isin(scene.track_component[self._moving], components)]
+        mine = mine[np.isfinite(paths.seen_s[mine]).all(axis=1)]
+        share = MOST_BODIES / max(len(self._moving), 1)
+        tracks = mine[spread(len(mine), max(1, int(share * len(mine))))]
+        most = max(2, MOST_PIECES // max(len(tracks), 1))
+        pieces, owners, ends = [np.empty((0, 2, 3))], [np.empty(0, dtype=np.intp)], [np.empty(0)]
+        for k, track in enumerate(tracks.tolist()):
+            first, last = paths.seen_s[track].tolist()
+            times = curve_times(paths.models[track], first, last, most)
+            places = drawing.parts[part].shown(paths.position(track, times))
+            pieces.append(np.stack((places[:-1], places[1:]), axis=1))
+            owners.append(np.full(len(times) - 1, k))
+            ends.append(times[1:])
+        body = paths.body[tracks]
+        # bodies of one track have the colours after those of the rigid ones
+        rank = np.where(body >= 0, body, np.arange(len(tracks)) + int(paths.body.max(initial=-1)) + 1)
+        colours = PALETTE[1 + rank % (len(PALETTE) - 1)]
+        return _Movers(part, tracks, colours, np.concatenate(pieces), np.concatenate(owners), np.concatenate(ends))
+
+    def show(self, shown: bool) -> None:
+        """Show or hide them."""
+        self._shown = shown
+        self.show_until(self._last)
+
+    def show_until(self, last: int) -> None:
+        """Show them where they were when the view at place ``last`` of the order was taken."""
+        self._last = last
+        now = self._now(last)
+        for one, (balls, ways) in zip(self._all, self._nodes, strict=True):
+            places = self._places(one, now)
+            seen = np.asarray(np.isfinite(places).all(axis=1))
+            came = (one.end_s <= now) & np.isfinite(one.pieces).all(axis=(1, 2))
+            pieces, colours = one.pieces[came], one.colours[one.owner[came]]
+            pieces, colours = self._to_now(one, now, places, (pieces, colours))
+            with self._drawing.server.atomic():
+                balls.batched_positions = np.where(seen[:, None], places, 0.0).astype(np.float32)
+                balls.batched_scales = np.where(seen, 1.0, _GONE).astype(np.float32)
+                balls.visible = self._shown
+                if len(pieces):
+                    ways.points = pieces.astype(np.float32)
+                    ways.colors = np.repeat(colours[:, None], 2, axis=1)
+                ways.visible = bool(self._shown and len(pieces))
+
+    def _now(self, last: int) -> float:
+        tracks = self._drawing.content.scene.tracks
+        if tracks is None or tracks.time_s is None or not len(self._drawing.order):
+            return float("inf")
+        return float(tracks.time_s[self._drawing.order[last]])
+
+    def _places(self, one: _Movers, now: float) -> Float:
+        """(n, 3) where they are shown at a time, NaN where they were not seen."""
+        paths = self._drawing.content.scene.paths
+        assert paths is not None
+        places = np.full((len(one.tracks), paths.d), np.nan)
+        inside = (paths.seen_s[one.tracks, 0] <= now) & (now <= paths.seen_s[one.tracks, 1])
+        for k in np.flatnonzero(inside).tolist():
+            places[k] = paths.position(int(one.tracks[k]), [now])[0]
+        return self._drawing.parts[one.part].shown(places)
+
+    @staticmethod
+    def _to_now(one: _Movers, now: float, places: Float, came: tuple[Float, Colours]) -> tuple[Float, Colours]:
+        """Add to the pieces that lie behind each body the one that it is on."""
+        seen = np.asarray(np.isfinite(places).all(axis=1))
+        ahead = np.flatnonzero((one.end_s > now) & seen[one.owner])
+        # pieces of a body follow one another, so the first that ends later is the one
+        owner, first = np.unique(one.owner[ahead], return_index=True)
+        begun = np.stack((one.pieces[ahead[first], 0], places[owner]), axis=1)
+        return np.concatenate((came[0], begun)), np.concatenate((came[1], one.colours[owner]))
 
 
 class Views:

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from panopath.movers import at_rest
 from panopath.viewer.layers import Colouring, Drawing, Ellipsoids, Layer, Points
 
 _BADGES = {"determined": "#2c964a", "weak": "#c77d0a", "undetermined": "#c8282d"}
@@ -40,7 +41,8 @@ def verdict_html(drawing: Drawing, notes: Sequence[str] = ()) -> str:
         lines += [escape(str(cause.get("sentence", ""))) for cause in certificate.get("causes", [])[:4]]
     else:
         lines.append("No certificate: <code>panopath check FOLDER</code> judges the scene.")
-    solved = [int(np.isfinite(place).all(axis=1).sum()) for place in (content.scene.centers, content.scene.points)]
+    still = at_rest(content.scene)
+    solved = [int(np.isfinite(place).all(axis=1).sum()) for place in (still.centers, still.points)]
     numbers = f"{solved[0]:,} of {len(content.scene.centers):,} views, "
     numbers += f"{solved[1]:,} of {len(content.scene.points):,} points"
     if np.isfinite(summary.sigma_rad):

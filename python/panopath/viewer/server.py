@@ -17,7 +17,7 @@ import numpy as np
 
 from panopath.errors import InputError, MissingExtraError
 from panopath.viewer.content import Content, read_content
-from panopath.viewer.layers import Drawing, Ellipsoids, Layer, Pictures, Points, Views, axes, path
+from panopath.viewer.layers import Bodies, Drawing, Ellipsoids, Layer, Pictures, Points, Views, axes, path
 from panopath.viewer.panel import Panel
 from panopath.viewer.shapes import REACH, Part, across, parts_of
 from panopath.viewer.visit import Visit
@@ -55,8 +55,8 @@ class Viewer:
         self.pictures = Pictures(drawing, self.enter, panel.tell)
         self.ellipsoids = Ellipsoids(drawing)
         arms.show(False)
-        # moving bodies, once there are any, join this list
-        self.layers: list[Layer] = [points, line, views, arms, self.pictures, self.ellipsoids]
+        self.bodies = bodies = Bodies(drawing)
+        self.layers: list[Layer] = [points, line, views, arms, bodies, self.pictures, self.ellipsoids]
         panel.time(self.layers)
         panel.points(points)
         shown: dict[str, tuple[Layer, bool]] = {
@@ -65,6 +65,9 @@ class Viewer:
             "Views": (views, True),
             "Axes of cameras": (arms, False),
         }
+        if bodies.total:
+            of = f"{bodies.count:,} of " if bodies.count < bodies.total else ""
+            shown[f"Bodies that move ({of}{bodies.total:,} tracks)"] = (bodies, True)
         if self.pictures.views:
             label = "Panoramas on spheres"
             if self.pictures.total > len(self.pictures.views):

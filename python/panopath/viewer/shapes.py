@@ -16,6 +16,7 @@ import numpy.typing as npt
 from panopath.cameras import bearings_from_equirectangular
 from panopath.formats.csv import quaternion_from_rotation
 from panopath.model import Float, Scene
+from panopath.movers import resting
 
 Ids = npt.NDArray[np.intp]
 Colours = npt.NDArray[np.uint8]
@@ -26,7 +27,8 @@ REACH = 5.0
 MOST_PARTS = 10
 #: Thinnest an ellipsoid is shown, as a share of its longest half-axis: flat ones are seen from the side too.
 _THINNEST = 0.02
-_PALETTE = np.array(
+#: Colours of parts, and of bodies that move.
+PALETTE = np.array(
     [
         (31, 95, 168),
         (230, 126, 20),
@@ -60,7 +62,7 @@ class Part:
     """A part of the scene and where it is shown."""
 
     name: str
-    #: Solved views and points, as indices.
+    #: Solved views and points at rest, as indices.
     views: Ids
     points: Ids
     #: (3,) the place in the world that is shown at ``offset``.
@@ -207,7 +209,7 @@ def parts_of(scene: Scene, *, apart: bool) -> list[Part]:
         place += radius if k else 0.0
         offset = np.array([place, 0.0, 0.0]) if apart else scale * (middle - reaches[0][0])
         place += radius
-        colour = tuple(_PALETTE[k % len(_PALETTE)].tolist())
+        colour = tuple(PALETTE[k % len(PALETTE)].tolist())
         parts.append(Part(name, views, points, middle, offset, scale, colour))
     return parts
 
@@ -224,7 +226,9 @@ def across(place: Float) -> Float:
 
 def _groups(scene: Scene) -> Sequence[tuple[str, Ids, Ids]]:
     """Name, views and points of each part, the largest first; the smallest ones together, as one."""
-    has_center, has_point = np.isfinite(scene.centers).all(axis=1), np.isfinite(scene.points).all(axis=1)
+    # bodies that move are shown by themselves, where they were at a moment
+    has_center = np.isfinite(scene.centers).all(axis=1)
+    has_point = np.isfinite(scene.points).all(axis=1) & resting(scene)
     found = []
     for component in range(scene.n_components):
         views = np.flatnonzero(has_center & (scene.view_component == component))
