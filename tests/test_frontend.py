@@ -13,8 +13,8 @@ import numpy.typing as npt
 import pytest
 from panopath.cameras import bearings_from_equirectangular, equirectangular_from_bearings
 from panopath.checkpoints import Checkpoints
-from panopath.mapping import MapOptions, map_database
 from panopath.errors import InputError
+from panopath.mapping import MapOptions, map_database
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra images")
 pytest.importorskip("PIL", reason="needs the extra images")
