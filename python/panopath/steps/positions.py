@@ -15,6 +15,7 @@ from panopath.errors import InputError
 from panopath.model import Control, Float, Int, PositionOptions, Scene, Status, Summary, Tracks, read_only
 from panopath.paths import Motion, PathModel, Paths, PathVerdict, Static, core_model, grouped, model_of
 from panopath.steps.common import call_core, observations_of, orientations_of
+from panopath.steps.freedoms import certify_paths
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -107,7 +108,12 @@ def solve_moving(
         _core_options(options, tracks),
         start,
     )
-    return replace(scene_of(found, tracks), paths=paths_of(found["paths"], motion.group, tracks))
+    scene = replace(scene_of(found, tracks), paths=paths_of(found["paths"], motion.group, tracks))
+    if not found["paths"]["resolved"] or scene.paths is None:
+        return scene
+    # so little is at rest that everything may share a motion: said whatever was assumed
+    words = certify_paths(tracks, scene).words(tracks.view_labels(), tracks.track_labels())
+    return replace(scene, paths=replace(scene.paths, freedoms=words))
 
 
 def forms_of(motion: Motion, tracks: Tracks) -> tuple[list[PathModel], Int]:
