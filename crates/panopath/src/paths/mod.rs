@@ -239,8 +239,10 @@ impl<'a, const D: usize> Input<'a, D> {
     /// What was seen of a track, by the views of the part that most of it belongs to; with the rows of its observations.
     fn sightings(&self, structure: &Structure<D>, track: usize) -> (Sightings, Vec<u32>) {
         let view = |o: u32| self.tracks.view()[o as usize] as usize;
-        let parts = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
-        let Some(part) = most_common(parts) else { return Default::default() };
+        let mut parts = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
+        let first = parts.clone().next().filter(|part| *part >= 0 && parts.all(|other| other == *part));
+        let all = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
+        let Some(part) = first.or_else(|| most_common(all)) else { return Default::default() };
         let belongs = |o: &u32| structure.view_component[view(*o)] == part;
         let rows: Vec<u32> = self.observations(track).iter().copied().filter(belongs).collect();
         let mut sightings = Sightings::default();
