@@ -523,16 +523,21 @@ impl<'a, const D: usize> Input<'a, D> {
             let keep = frame.keep(&own);
             let weights = CourseWeights { state: &frame.state, keep: &keep, huber: f64::INFINITY };
             let part_layout = &frame.state.part;
-            let loose: Vec<f64> = (0..part_layout.n_tracks())
+            let firmness = verdict::firmness(&weights);
+            let loose: Vec<bool> = (0..part_layout.n_tracks())
                 .into_par_iter()
                 .with_min_len(64)
-                .map(|j| if part_layout.courses.moves(j) { verdict::looseness(&weights, j, sigma) } else { 0.0 })
+                .map(|j| {
+                    part_layout.courses.moves(j)
+                        && (verdict::is_loose(verdict::looseness(&weights, j, sigma))
+                            || verdict::is_followed(&weights, j, &firmness, sigma))
+                })
                 .collect();
             for (j, loose) in loose.iter().enumerate() {
                 let track = part_layout.input_track[j] as usize;
                 verdict[track] = match part_layout.courses.moves(j) {
                     false => Verdict::Static,
-                    true if verdict::is_loose(*loose) => self.why_loose(&of_view, track, sigma),
+                    true if *loose => self.why_loose(&of_view, track, sigma),
                     true => Verdict::Moving,
                 };
             }

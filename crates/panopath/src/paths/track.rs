@@ -59,7 +59,7 @@ impl Sightings {
 ///
 /// What `bundle::courses` sums takes the cameras' part along, which is most of the work and not wanted here.
 #[derive(Default)]
-struct Equations {
+pub(super) struct Equations {
     n: usize,
     /// Lower triangle by rows, then its factor.
     matrix: Vec<f64>,
@@ -70,7 +70,7 @@ struct Equations {
 const FLOOR: f64 = 1e-14;
 
 impl Equations {
-    fn clear(&mut self, n: usize) {
+    pub fn clear(&mut self, n: usize) {
         self.n = n;
         self.matrix.clear();
         self.matrix.resize(n * n, 0.0);
@@ -80,7 +80,7 @@ impl Equations {
 
     /// Adds `w |(I - v v^T) sum_l B_l x_l - ..|^2`, of which `pull` is the right-hand side.
     #[inline(always)]
-    fn add<const D: usize>(&mut self, values: &[f64], along: &Lanes, weight: f64, pull: &Lanes) {
+    pub fn add<const D: usize>(&mut self, values: &[f64], along: &Lanes, weight: f64, pull: &Lanes) {
         let n = self.n;
         let block: [[f64; D]; D] =
             std::array::from_fn(|r| std::array::from_fn(|c| weight * (f64::from(r == c) - along.0[r] * along.0[c])));
@@ -98,7 +98,7 @@ impl Equations {
     }
 
     /// The solution, damped along the diagonal; `None` where it is not finite.
-    fn solve(&mut self, damping: f64) -> Option<&[f64]> {
+    pub fn solve(&mut self, damping: f64) -> Option<&[f64]> {
         let n = self.n;
         let (matrix, x) = (&mut self.matrix, &mut self.right);
         let trace: f64 = (0..n).map(|i| matrix[i * n + i]).sum();
