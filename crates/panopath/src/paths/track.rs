@@ -353,7 +353,9 @@ fn descend<const D: usize>(
             let gain = present - next;
             present = next;
             damping *= 0.1;
-            if gain < LITTLE_GAIN * sigma * sigma && gain < 1e-6 * present {
+            // without noise the steps go on to rounding
+            let is_noisy = present > sigma * sigma;
+            if gain < LITTLE_GAIN * sigma * sigma && (is_noisy || gain < 1e-6 * present) {
                 return;
             }
         } else {
