@@ -238,8 +238,10 @@ impl<'a, const D: usize> Input<'a, D> {
     /// What was seen of a track, by the views of the part that most of it belongs to; with the rows of its observations.
     fn sightings(&self, structure: &Structure<D>, track: usize) -> (Sightings, Vec<u32>) {
         let view = |o: u32| self.tracks.view()[o as usize] as usize;
-        let parts = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
-        let Some(part) = most_common(parts) else { return Default::default() };
+        let mut parts = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
+        let first = parts.clone().next().filter(|part| *part >= 0 && parts.all(|other| other == *part));
+        let all = self.observations(track).iter().map(|&o| structure.view_component[view(o)]);
+        let Some(part) = first.or_else(|| most_common(all)) else { return Default::default() };
         let belongs = |o: &u32| structure.view_component[view(*o)] == part;
         let rows: Vec<u32> = self.observations(track).iter().copied().filter(belongs).collect();
         let mut sightings = Sightings::default();
@@ -537,16 +539,21 @@ impl<'a, const D: usize> Input<'a, D> {
             let keep = frame.keep(&own);
             let weights = CourseWeights { state: &frame.state, keep: &keep, huber: f64::INFINITY };
             let part_layout = &frame.state.part;
-            let loose: Vec<f64> = (0..part_layout.n_tracks())
+            let firmness = verdict::firmness(&weights);
+            let loose: Vec<bool> = (0..part_layout.n_tracks())
                 .into_par_iter()
                 .with_min_len(64)
-                .map(|j| if part_layout.courses.moves(j) { verdict::looseness(&weights, j, sigma) } else { 0.0 })
+                .map(|j| {
+                    part_layout.courses.moves(j)
+                        && (verdict::is_loose(verdict::looseness(&weights, j, sigma))
+                            || verdict::is_followed(&weights, j, &firmness, sigma))
+                })
                 .collect();
             for (j, loose) in loose.iter().enumerate() {
                 let track = part_layout.input_track[j] as usize;
                 verdict[track] = match part_layout.courses.moves(j) {
                     false => Verdict::Static,
-                    true if verdict::is_loose(*loose) => self.why_loose(&of_view, track, sigma),
+                    true if *loose => self.why_loose(&of_view, track, sigma),
                     true => Verdict::Moving,
                 };
             }

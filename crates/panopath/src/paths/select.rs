@@ -5,7 +5,7 @@
 //! thousand tracks at rest few may be called moving.
 
 use super::basis::Form;
-use super::track::{Fit, Sightings, fit, fit_near, has_spare};
+use super::track::{Fit, Sightings, fit, fit_near, has_spare, still_at};
 use crate::bundle::part::Lanes;
 
 /// Standard deviations of a normal variable that a gain by chance stays below, for leaving rest.
@@ -15,6 +15,8 @@ const AT_REST_Z: f64 = 2.3;
 /// Share of the observations that agree with a track at rest, for looking no further, and with any path.
 const AT_REST_SHARE: f64 = 0.6;
 const LEAST_SHARE: f64 = 0.5;
+/// And that a gain by chance stays below, for the next richer form of a path that suffices.
+const RICHER_Z: f64 = 1.645;
 
 /// The path that a track shows among rest and the candidates; `None` where nothing agrees with most of its observations.
 ///
@@ -32,6 +34,13 @@ pub(super) fn choose<const D: usize>(
     let suffices =
         |fit: &Fit| agrees(fit, AT_REST_SHARE) && inlier_cost(fit) <= chi_squared(freedom::<D>(fit), AT_REST_Z);
     let before = before.filter(|fit| fit.form.len() > 1);
+    if before.is_none() && at_rest.0[0].is_finite() {
+        // most tracks rest where the cameras were solved with them
+        let still = still_at::<D>(sightings, sigma, at_rest);
+        if suffices(&still) {
+            return Some(still);
+        }
+    }
     let middle = before.map_or(at_rest, |fit| middle_of(fit, sightings));
     let near = fit_near::<D>(sightings, &Form::Static, sigma, vec![middle]);
     let again = before.and_then(|fit| fit_near::<D>(sightings, &fit.form, sigma, fit.vectors.clone())).filter(suffices);
@@ -43,7 +52,7 @@ pub(super) fn choose<const D: usize>(
         return Some(still.clone());
     }
     let score = |fit: &Fit| fit.cost + (D * fit.form.len()) as f64 * rows.ln();
-    let mut moving = again;
+    let mut moving = again.map(|fit| enriched::<D>(sightings, candidates, sigma, fit));
     for form in if moving.is_some() { &[] } else { candidates } {
         // candidates go from the simple to the rich: what suffices ends the search
         let found = fit::<D>(sightings, form, sigma).filter(|fit| has_spare::<D>(fit) && agrees(fit, LEAST_SHARE));
@@ -53,6 +62,7 @@ pub(super) fn choose<const D: usize>(
             moving = Some(found);
         }
         if is_enough {
+            moving = moving.map(|fit| enriched::<D>(sightings, candidates, sigma, fit));
             break;
         }
     }
@@ -64,6 +74,39 @@ pub(super) fn choose<const D: usize>(
         }
         (None, moving) => moving,
         (still, None) => still.filter(|still| agrees(still, LEAST_SHARE)),
+    }
+}
+
+/// A path that suffices, or the richer one of its kind that gains more than chance does.
+///
+/// Where the camera's own path is nearly of the richer form, `C + s (P - C)` can be of the poorer one for some `s`: what
+/// suffices there may stand at a wrong distance, and its deviation does not tell.
+fn enriched<const D: usize>(sightings: &Sightings, candidates: &[Form], sigma: f64, mut fit: Fit) -> Fit {
+    while let Some(form) = candidates.iter().find_map(|form| richer(&fit.form, form)) {
+        let mut vectors = fit.vectors.clone();
+        vectors.resize(form.len(), Lanes::ZERO);
+        let more = (D * (form.len() - fit.form.len())) as f64;
+        let Some(found) = fit_near::<D>(sightings, &form, sigma, vectors).filter(has_spare::<D>) else { break };
+        if fit.cost - found.cost <= chi_squared(more, RICHER_Z) {
+            break;
+        }
+        fit = found;
+    }
+    fit
+}
+
+/// A candidate whose functions begin with those of a form, with the numbers of that form.
+fn richer(form: &Form, candidate: &Form) -> Option<Form> {
+    match (form, candidate) {
+        (&Form::Taylor { order, origin_s, unit_s }, &Form::Taylor { order: more, .. }) if more > order => {
+            Some(Form::Taylor { order: more, origin_s, unit_s })
+        }
+        (&Form::Fourier { order, omega_rad_s }, &Form::Fourier { order: more, omega_rad_s: same })
+            if more > order && same == omega_rad_s =>
+        {
+            Some(Form::Fourier { order: more, omega_rad_s })
+        }
+        _ => None,
     }
 }
 

@@ -6,12 +6,9 @@
 
 use super::basis::Form;
 use super::select::chi_squared;
-use crate::bundle::courses::CourseSystem;
-use crate::bundle::estimate::weighted_ray;
 use crate::bundle::newton::{chord_model, huber_cost};
 use crate::bundle::noise::{HUBER_SIGMAS, OUTLIER_SIGMAS, median};
 use crate::bundle::part::{Course, Lanes};
-use crate::bundle::reduced::Quadratic;
 
 /// Rounds of re-weighting.
 const ROUNDS: usize = 8;
@@ -58,6 +55,79 @@ impl Sightings {
     }
 }
 
+/// Normal equations of the vectors of one path; their storage is used for one step after the other.
+///
+/// What `bundle::courses` sums takes the cameras' part along, which is most of the work and not wanted here.
+#[derive(Default)]
+pub(super) struct Equations {
+    n: usize,
+    /// Lower triangle by rows, then its factor.
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+}
+
+/// Keeps the equations positive definite where a path is not determined, relative to their trace.
+const FLOOR: f64 = 1e-14;
+
+impl Equations {
+    pub fn clear(&mut self, n: usize) {
+        self.n = n;
+        self.matrix.clear();
+        self.matrix.resize(n * n, 0.0);
+        self.right.clear();
+        self.right.resize(n, 0.0);
+    }
+
+    /// Adds `w |(I - v v^T) sum_l B_l x_l - ..|^2`, of which `pull` is the right-hand side.
+    #[inline(always)]
+    pub fn add<const D: usize>(&mut self, values: &[f64], along: &Lanes, weight: f64, pull: &Lanes) {
+        let n = self.n;
+        let block: [[f64; D]; D] =
+            std::array::from_fn(|r| std::array::from_fn(|c| weight * (f64::from(r == c) - along.0[r] * along.0[c])));
+        for (a, value) in values.iter().enumerate() {
+            for (r, row) in block.iter().enumerate() {
+                let own = a * D + r;
+                self.right[own] += value * pull.0[r];
+                let lower = &mut self.matrix[own * n..own * n + (a + 1) * D];
+                for (other, entries) in values.iter().zip(lower.as_chunks_mut::<D>().0) {
+                    let factor = value * other;
+                    entries.iter_mut().zip(row).for_each(|(entry, x)| *entry += factor * x);
+                }
+            }
+        }
+    }
+
+    /// The solution, damped along the diagonal; `None` where it is not finite.
+    pub fn solve(&mut self, damping: f64) -> Option<&[f64]> {
+        let n = self.n;
+        let (matrix, x) = (&mut self.matrix, &mut self.right);
+        let trace: f64 = (0..n).map(|i| matrix[i * n + i]).sum();
+        if !trace.is_finite() || trace <= 0.0 {
+            return None;
+        }
+        let floor = FLOOR * trace;
+        for r in 0..n {
+            let (before, row) = matrix.split_at_mut(r * n);
+            for c in 0..r {
+                let other = &before[c * n..=c * n + c];
+                let known: f64 = row[..c].iter().zip(other).map(|(a, b)| a * b).sum();
+                row[c] = (row[c] - known) / other[c];
+            }
+            let known: f64 = row[..r].iter().map(|a| a * a).sum();
+            row[r] = (row[r] * (1.0 + damping) - known + floor).max(floor).sqrt();
+            let behind: f64 = row[..r].iter().zip(x.iter()).map(|(a, b)| a * b).sum();
+            x[r] = (x[r] - behind) / row[r];
+        }
+        for r in (0..n).rev() {
+            x[r] /= matrix[r * n + r];
+            for c in 0..r {
+                x[c] -= matrix[r * n + c] * x[r];
+            }
+        }
+        x.iter().all(|x| x.is_finite()).then_some(&self.right)
+    }
+}
+
 /// A path fitted to one track.
 #[derive(Clone)]
 pub(super) struct Fit {
@@ -86,16 +156,16 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
     }
     let values = sightings.values(&form);
     let course = Course { n_functions: form.len(), values: &values, bends: None };
-    let mut system = CourseSystem::default();
+    let mut equations = Equations::default();
     let cost = |vectors: &[Lanes]| truncated_cost::<D>(sightings, course, vectors, sigma);
     let everything = vec![1.0; n];
-    let mut best = reweighted::<D>(sightings, course, sigma, everything, &mut system).map(|v| (cost(&v), v));
+    let mut best = reweighted::<D>(sightings, course, sigma, everything, &mut equations).map(|v| (cost(&v), v));
     let fine = chi_squared(((D - 1) * n - D * form.len().min((D - 1) * n / D)) as f64, SUBSETS_Z);
     if best.as_ref().is_none_or(|(cost, _)| *cost > fine) {
         // false rays may have drawn it away: some subset is free of them
         let size = (needed + 1).min(n);
         for subset in 0..SUBSETS {
-            let Some(vectors) = linear::<D>(sightings, course, &subset_weights(n, size, subset), &mut system) else {
+            let Some(vectors) = linear::<D>(sightings, course, &subset_weights(n, size, subset), &mut equations) else {
                 continue;
             };
             let reached = cost(&vectors);
@@ -108,7 +178,7 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
         }
     }
     let (_, vectors) = best?;
-    settled::<D>(sightings, form, course, vectors, sigma, &mut system)
+    settled::<D>(sightings, form, course, vectors, sigma, &mut equations)
 }
 
 /// Fits a path of a form from vectors that are near.
@@ -123,7 +193,17 @@ pub(super) fn fit_near<const D: usize>(
     }
     let values = sightings.values(form);
     let course = Course { n_functions: form.len(), values: &values, bends: None };
-    settled::<D>(sightings, form.clone(), course, vectors, sigma, &mut CourseSystem::default())
+    settled::<D>(sightings, form.clone(), course, vectors, sigma, &mut Equations::default())
+}
+
+/// What agrees with a point at rest, as it stands.
+pub(super) fn still_at<const D: usize>(sightings: &Sightings, sigma: f64, point: Lanes) -> Fit {
+    let values = vec![1.0; sightings.len()];
+    let course = Course { n_functions: 1, values: &values, bends: None };
+    let vectors = vec![point];
+    let keep = kept::<D>(sightings, course, &vectors, OUTLIER_SIGMAS * sigma);
+    let cost = truncated_cost::<D>(sightings, course, &vectors, sigma);
+    Fit { form: Form::Static, vectors, keep, cost }
 }
 
 /// Ones for some of the observations, spread over the track in a way of its own for each subset.
@@ -144,7 +224,7 @@ fn settled<const D: usize>(
     course: Course<'_>,
     vectors: Vec<Lanes>,
     sigma: f64,
-    system: &mut CourseSystem,
+    equations: &mut Equations,
 ) -> Option<Fit> {
     let unknowns = D * form.len();
     let mut found = Fit { vectors, keep: vec![true; sightings.len()], cost: f64::INFINITY, form };
@@ -154,7 +234,7 @@ fn settled<const D: usize>(
         if (D - 1) * found.n_kept() < unknowns {
             return None;
         }
-        descend::<D>(sightings, course, sigma, &mut found, system);
+        descend::<D>(sightings, course, sigma, &mut found, equations);
     }
     found.keep = kept::<D>(sightings, course, &found.vectors, OUTLIER_SIGMAS * sigma);
     found.cost = truncated_cost::<D>(sightings, course, &found.vectors, sigma);
@@ -172,19 +252,22 @@ fn reweighted<const D: usize>(
     course: Course<'_>,
     sigma: f64,
     mut weights: Vec<f64>,
-    system: &mut CourseSystem,
+    equations: &mut Equations,
 ) -> Option<Vec<Lanes>> {
-    let mut vectors = linear::<D>(sightings, course, &weights, system)?;
+    let mut vectors = linear::<D>(sightings, course, &weights, equations)?;
     let mut before = f64::INFINITY;
+    let (mut chords, mut errors) = (Vec::with_capacity(sightings.len()), Vec::with_capacity(sightings.len()));
     for _ in 0..ROUNDS {
-        let mut errors: Vec<f64> = (0..sightings.len()).map(|k| chord::<D>(sightings, course, k, &vectors).0).collect();
-        let scale = (SCALE_OVER_MEDIAN * median(&mut errors.clone())).max(SCALE_OVER_MEDIAN * sigma);
-        for (k, (weight, error)) in weights.iter_mut().zip(&mut errors).enumerate() {
-            let root = 1.0 / (1.0 + (*error / scale).powi(2));
-            let distance = chord::<D>(sightings, course, k, &vectors).1;
+        chords.clear();
+        chords.extend((0..sightings.len()).map(|k| chord::<D>(sightings, course, k, &vectors)));
+        errors.clear();
+        errors.extend(chords.iter().map(|(error, _)| *error));
+        let scale = (SCALE_OVER_MEDIAN * median(&mut errors)).max(SCALE_OVER_MEDIAN * sigma);
+        for (weight, (error, distance)) in weights.iter_mut().zip(&chords) {
+            let root = 1.0 / (1.0 + (error / scale).powi(2));
             *weight = root * root / (distance * distance).max(f64::MIN_POSITIVE);
         }
-        vectors = linear::<D>(sightings, course, &weights, system)?;
+        vectors = linear::<D>(sightings, course, &weights, equations)?;
         if (scale / before - 1.0).abs() < 0.02 {
             break;
         }
@@ -198,19 +281,20 @@ fn linear<const D: usize>(
     sightings: &Sightings,
     course: Course<'_>,
     weights: &[f64],
-    system: &mut CourseSystem,
+    equations: &mut Equations,
 ) -> Option<Vec<Lanes>> {
-    let model = |(ray, weight): (&Lanes, &f64)| weighted_ray(ray, *weight, 0.0);
-    let models: Vec<Quadratic> = sightings.rays.iter().zip(weights).map(model).collect();
-    if !system.assemble::<D>(course, &models) || !system.factorise(0.0) {
-        return None;
+    let k = course.n_functions;
+    equations.clear(D * k);
+    let rays = sightings.rays.iter().zip(&sightings.centers);
+    for (((ray, center), weight), values) in rays.zip(weights).zip(course.values.chunks_exact(k)) {
+        if *weight > 0.0 {
+            let weight = weight * ray.0[3];
+            let across = center.plus_scaled(-ray.dot::<D>(center), ray).times(weight);
+            equations.add::<D>(values, ray, weight, &across);
+        }
     }
-    let mut x = vec![0.0; system.len()];
-    for (k, center) in sightings.centers.iter().enumerate() {
-        system.add_pull::<D>(k, center, &mut x);
-    }
-    system.solve(&mut x);
-    x.iter().all(|x| x.is_finite()).then(|| vectors_of::<D>(&x, course.n_functions))
+    let x = equations.solve(0.0)?;
+    Some(vectors_of::<D>(x, k))
 }
 
 /// The vectors among the unknowns of a path.
@@ -242,9 +326,10 @@ fn descend<const D: usize>(
     course: Course<'_>,
     sigma: f64,
     fit: &mut Fit,
-    system: &mut CourseSystem,
+    equations: &mut Equations,
 ) {
     let huber = HUBER_SIGMAS * sigma;
+    let k = course.n_functions;
     let cost = |vectors: &[Lanes], keep: &[bool]| -> f64 {
         (0..sightings.len())
             .filter(|&k| keep[k])
@@ -254,26 +339,23 @@ fn descend<const D: usize>(
     let mut present = cost(&fit.vectors, &fit.keep);
     let mut damping = 1e-12;
     for _ in 0..STEPS {
-        let models: Vec<Quadratic> = (0..sightings.len())
-            .map(|k| {
-                let point = course.position(k, &fit.vectors);
-                chord_model::<D>(&sightings.rays[k], &point, &sightings.centers[k], fit.keep[k], huber)
-            })
-            .collect();
-        if !system.assemble::<D>(course, &models) || !system.factorise(damping) {
-            return;
+        equations.clear(D * k);
+        for (o, values) in course.values.chunks_exact(k).enumerate().filter(|&(o, _)| fit.keep[o]) {
+            let point = course.position(o, &fit.vectors);
+            let model = chord_model::<D>(&sightings.rays[o], &point, &sightings.centers[o], true, huber);
+            equations.add::<D>(values, &model.direction, model.direction.0[3], &model.gradient);
         }
-        let mut x = system.right().to_vec();
-        system.solve(&mut x);
-        let moved: Vec<Lanes> =
-            fit.vectors.iter().zip(vectors_of::<D>(&x, course.n_functions)).map(|(p, d)| p.plus(&d)).collect();
+        let Some(x) = equations.solve(damping) else { return };
+        let moved: Vec<Lanes> = fit.vectors.iter().zip(vectors_of::<D>(x, k)).map(|(p, d)| p.plus(&d)).collect();
         let next = cost(&moved, &fit.keep);
         if next < present {
             fit.vectors = moved;
             let gain = present - next;
             present = next;
             damping *= 0.1;
-            if gain < LITTLE_GAIN * sigma * sigma && gain < 1e-6 * present {
+            // without noise the steps go on to rounding
+            let is_noisy = present > sigma * sigma;
+            if gain < LITTLE_GAIN * sigma * sigma && (is_noisy || gain < 1e-6 * present) {
                 return;
             }
         } else {

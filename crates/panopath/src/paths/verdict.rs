@@ -6,6 +6,8 @@
 //! of how far it moves the point at the times it was seen.
 
 use super::joint::CourseWeights;
+use super::select::chi_squared;
+use super::track::{Equations, vectors_of};
 use crate::bundle::courses::CourseSystem;
 use crate::bundle::part::Lanes;
 use crate::bundle::reduced::{Quadratic, Weighing};
@@ -15,6 +17,11 @@ use crate::least_squares::symmetric_eigen_of;
 const LOOSE: f64 = 0.3;
 /// A mode this much softer than the stiffest is free but for rounding.
 const ROUNDING: f64 = 1e-12;
+
+/// The camera's path has the form of a body's where it leaves it by less than this many times what its own errors do,
+/// squared, at a normal variable's quantile.
+const ERRORS_OVER_PREDICTED: f64 = 4.0;
+const LEAVES_Z: f64 = 2.3;
 
 /// What was found of a track.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,6 +80,59 @@ pub(super) fn looseness<const D: usize>(weights: &CourseWeights<'_, D>, j: usize
     }
     let Some(softest) = softest(&information.symmetric(), &size.symmetric(), count) else { return f64::INFINITY };
     sigma / softest.sqrt() / (distance / count)
+}
+
+/// `1 / sigma^2` of each camera's place along an axis, in units of the noise, as points at rest hold it.
+pub(super) fn firmness<const D: usize>(weights: &CourseWeights<'_, D>) -> Vec<f64> {
+    let part = &weights.state.part;
+    let mut firmness = vec![0.0; part.n_nodes];
+    for j in (0..part.n_tracks()).filter(|&j| !part.courses.moves(j)) {
+        for o in part.observations(j) {
+            let model = weights.observe(o, j);
+            firmness[part.node_of(o) as usize] += model.direction.0[3] * (D - 1) as f64 / D as f64;
+        }
+    }
+    firmness
+}
+
+/// Does the camera's own path leave the form of a track's path by no more than its errors?
+///
+/// It would seem to by its errors alone, and a path that was drawn close to the camera would seem firm.
+pub(super) fn is_followed<const D: usize>(
+    weights: &CourseWeights<'_, D>,
+    j: usize,
+    firmness: &[f64],
+    sigma: f64,
+) -> bool {
+    let state = weights.state;
+    let part = &state.part;
+    let course = part.course(j);
+    let k = course.n_functions;
+    // without bounds on any camera nothing is known of its errors
+    let seen: Vec<(usize, usize)> = part
+        .observations(j)
+        .enumerate()
+        .filter(|&(_, o)| weights.keep[o])
+        .map(|(row, o)| (row, part.node_of(o) as usize))
+        .filter(|&(_, node)| firmness[node] > 0.0)
+        .collect();
+    if seen.len() <= k {
+        return false;
+    }
+    let mut equations = Equations::default();
+    equations.clear(D * k);
+    for &(row, node) in &seen {
+        let pull = state.estimate.centers[node].times(firmness[node]);
+        equations.add::<D>(&course.values[row * k..(row + 1) * k], &Lanes::ZERO, firmness[node], &pull);
+    }
+    let Some(x) = equations.solve(0.0) else { return false };
+    let vectors = vectors_of::<D>(x, k);
+    let squared = |&(row, node): &(usize, usize)| {
+        let off = state.estimate.centers[node].minus(&course.position(row, &vectors));
+        firmness[node] * off.dot::<D>(&off) / (sigma * sigma)
+    };
+    let freedom = (D * (seen.len() - k)) as f64;
+    seen.iter().map(squared).sum::<f64>() < ERRORS_OVER_PREDICTED * chi_squared(freedom, LEAVES_Z)
 }
 
 /// Is it too loose to be told?
