@@ -85,7 +85,7 @@ def exact(starts: np.ndarray, velocities: np.ndarray, deviation: float = 1e-3) -
 def test_two_cars_and_a_walker() -> None:
     """Two cars side by side at different speeds, a walker between them: three motions, however near."""
     car = np.array([[10.0, 0.0, 0.0], [11.0, 0.5, 0.3], [10.5, -0.4, 0.6]])
-    starts = np.concatenate((car, car + (0.0, 1.5, 0.0), [[10.2, 0.7, 0.0]]))
+    starts = np.concatenate((car, car + np.array((0.0, 1.5, 0.0)), [[10.2, 0.7, 0.0]]))
     velocities = np.repeat([[1.0, 0.2, 0.0], [1.1, 0.2, 0.0], [0.1, 0.9, 0.0]], [3, 3, 1], axis=0)
     scene = exact(starts, velocities)
     assert grouped(scene).body.tolist() == [0, 0, 0, 1, 1, 1, -1]
@@ -98,7 +98,8 @@ def test_a_crowd_is_no_body() -> None:
     """Each one goes as its neighbours do, nearly; those at the ends do not go alike."""
     n = 30
     starts = np.column_stack((10.0 + 0.5 * np.arange(n), np.zeros(n), np.zeros(n)))
-    velocities = np.column_stack((np.full(n, 1.0), 0.004 * np.arange(n), np.zeros(n)))
+    # along the line: across it a line that turns would be a body
+    velocities = np.column_stack((1.0 + 0.0008 * np.arange(n), np.zeros(n), np.zeros(n)))
     body = grouped(exact(starts, velocities)).body
     _, counts = np.unique(body[body >= 0], return_counts=True)
     assert counts.max() < n // 2
@@ -109,7 +110,7 @@ def test_what_is_not_known_well_is_left_alone() -> None:
     velocities = np.tile((1.0, 0.0, 0.0), (2, 1))
     assert grouped(exact(starts, velocities)).body.tolist() == [0, 0]
     assert grouped(exact(starts, velocities, deviation=1.0)).body.tolist() == [-1, -1]
-    far = starts + [[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]
+    far = starts + np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
     assert grouped(exact(far, velocities)).body.tolist() == [-1, -1]
     scene = exact(starts, velocities)
     bare = replace(scene, paths=replace(paths_of(scene), covariances=None))
@@ -130,9 +131,9 @@ def test_movers_never_bend_cameras_of_steps_that_know_only_rest(world: pp.Synthe
         time_s=world.time_s,
     )
     without = replace(at_rest(scene), tracks=fewer, inlier=scene.inlier[rows], residual_rad=scene.residual_rad[rows])
-    refined, expected = pp.refine(world.tracks, scene), pp.refine(fewer, without)
+    refined, alone = pp.refine(world.tracks, scene), pp.refine(fewer, without)
     assert refined.paths is None
-    np.testing.assert_array_equal(refined.centers, expected.centers)
+    np.testing.assert_array_equal(refined.centers, alone.centers)
     assert not refined.inlier[~rows].any()
     assert np.isnan(refined.points[~still]).all()
     for name in ("cameras", "points"):
@@ -146,9 +147,9 @@ def test_movers_never_bend_cameras_of_steps_that_know_only_rest(world: pp.Synthe
         pp.fit_rotations(world.tracks, scene), pp.fit_rotations(world.tracks, given, scene.cam_from_world)
     )
     certificate = pp.certify(world.tracks, scene)
-    assert certificate == pp.certify(fewer, without) or (
-        certificate.to_dict() == pp.certify(fewer, without).to_dict() if hasattr(certificate, "to_dict") else True
-    )
+    expected = pp.certify(fewer, without)
+    assert certificate.sentence() == expected.sentence()
+    np.testing.assert_array_equal(certificate.track_component, expected.track_component)
     assert certificate.consistency == pp.check_consistency(fewer, without)
     assert certificate.verdict is pp.Verdict.DETERMINED
 
