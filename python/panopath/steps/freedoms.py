@@ -73,7 +73,10 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         raise InputError(f"the scene was not made from {tracks!r}: their numbers differ")
     if scene.inlier.shape != tracks.view.shape:
         raise InputError(f"scene.inlier has {len(scene.inlier)} entries, expected {len(tracks.view)}")
-    used = scene.inlier
+    # a track of which nothing was found may have a form with gaps: it takes no part
+    models = [core_model(model) for model in scene.paths.models]
+    gaps = np.array([any(np.isnan(number) for number in numbers) for _, _, numbers in models], dtype=np.bool_)
+    used = scene.inlier & ~gaps[tracks.track]
     each, sigma = _sigmas(tracks, scene, chosen)
     found = call_core(
         _core.freedoms_of_paths,
@@ -81,7 +84,7 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         (
             scene.centers,
             tracks.time_s,
-            [core_model(model) for model in scene.paths.models],
+            [(form, order, [1.0 if np.isnan(x) else x for x in numbers]) for form, order, numbers in models],
             scene.paths.coefficients,
         ),
         {
