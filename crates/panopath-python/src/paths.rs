@@ -147,6 +147,7 @@ fn paths_of<'py, const D: usize>(py: Python<'py>, scene: &MovingStructure<D>) ->
         Assumption::LeastMotion => ("least_motion", 0),
     };
     paths.set_item("assumption", (assumption, known))?;
+    paths.set_item("resolved", scene.resolved)?;
     Ok(paths)
 }
 

@@ -11,7 +11,6 @@ import numpy as np
 import typer
 
 from panopath.certificate import OrientationModel
-from panopath.certificate_text import Names
 from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
 from panopath.cli.certifying import Drawing, brief, certified, sigma_of, write_folder
 from panopath.cli.motion import form_of, motion_of
@@ -24,7 +23,6 @@ from panopath.formats import (
 from panopath.formats.csv import read_vectors
 from panopath.formats.folder import check_writable
 from panopath.formats.paths import paths_dict
-from panopath.freedoms_text import freedom_sentence
 from panopath.model import (
     Float,
     Gauge,
@@ -184,11 +182,11 @@ def solve_moves(problem: Problem, options: PositionOptions, motion: Motion) -> S
     if motion.refine_orientations and rotations is None:
         rotations = no_turns(problem.tracks)
     scene = solve_positions(problem.tracks, rotations, options, motion=motion)
-    if scene.paths is None or not scene.summary.status.is_determined:
+    if scene.paths is None or scene.paths.freedoms or not scene.summary.status.is_determined:
         return scene
-    names = Names(problem.tracks.view_names, problem.tracks.track_names)
-    found = certify_paths(problem.tracks, scene, FreedomOptions(threads=options.threads)).freedoms
-    return replace(scene, paths=replace(scene.paths, freedoms=tuple(freedom_sentence(one, names) for one in found)))
+    found = certify_paths(problem.tracks, scene, FreedomOptions(threads=options.threads))
+    words = found.words(scene.view_labels(), scene.track_labels())
+    return replace(scene, paths=replace(scene.paths, freedoms=words))
 
 
 def no_turns(tracks: Tracks) -> Float:

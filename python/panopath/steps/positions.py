@@ -17,6 +17,7 @@ from panopath.model import Control, Float, Int, PositionOptions, Scene, Status, 
 from panopath.movers import at_rest, resting
 from panopath.paths import Motion, PathModel, Paths, PathVerdict, Static, core_model, model_of
 from panopath.steps.common import call_core, observations_of, orientations_of
+from panopath.steps.freedoms import certify_paths
 
 Start = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -110,7 +111,13 @@ def solve_moving(
         start,
     )
     scene = replace(scene_of(found, tracks), paths=paths_of(found["paths"], tracks))
-    return replace(scene, paths=grouped(scene)) if motion.group else scene
+    if motion.group:
+        scene = replace(scene, paths=grouped(scene))
+    if not found["paths"]["resolved"] or scene.paths is None:
+        return scene
+    # so little is at rest that everything may share a motion: said whatever was assumed
+    words = certify_paths(tracks, scene).words(tracks.view_labels(), tracks.track_labels())
+    return replace(scene, paths=replace(scene.paths, freedoms=words))
 
 
 def forms_of(motion: Motion, tracks: Tracks) -> tuple[list[PathModel], Int]:

@@ -11,6 +11,7 @@ mod basis;
 mod covariance;
 mod frame;
 mod freedoms;
+mod gauge;
 mod joint;
 mod options;
 mod select;
@@ -71,7 +72,8 @@ pub fn solve_paths<const D: usize, const V: usize>(
         input.solve_jointly::<V>(&mut found)?;
         input.choose_again(&mut found);
     }
-    let mut scene = input.conclude::<V>(&found);
+    let resolved = input.resolve_freedoms(&mut found)?;
+    let mut scene = input.conclude::<V>(&found, resolved);
     place(&mut scene, options)?;
     Ok(scene)
 }
@@ -335,6 +337,10 @@ impl<'a, const D: usize> Input<'a, D> {
     fn solve_jointly<const V: usize>(&self, found: &mut Found<D>) -> Result<(), PathError> {
         let members = self.members(found, |track, fit| self.bends(track, fit));
         let frame = Frame::lay_out(self, &found.structure, &members, self.motion.free_orientations);
+        if frame.state.part.n_nodes == 0 {
+            // no track has a path of its form that the cameras could rest on: what was found stands
+            return Ok(());
+        }
         let mut system = frame.system::<V>(self.motion.free_orientations)?;
         let settled =
             settle::<D, V>(&frame.given(self), &mut system, frame.state.clone(), self.options.max_iterations)?;
@@ -492,7 +498,7 @@ impl<'a, const D: usize> Input<'a, D> {
     }
 
     /// What each path is worth, and how it is told.
-    fn conclude<const V: usize>(&self, found: &Found<D>) -> MovingStructure<D> {
+    fn conclude<const V: usize>(&self, found: &Found<D>, resolved: bool) -> MovingStructure<D> {
         let n_tracks = self.tracks.n_tracks();
         let mut structure = found.structure.clone();
         structure.points = vec![[f64::NAN; D]; n_tracks];
@@ -552,6 +558,7 @@ impl<'a, const D: usize> Input<'a, D> {
             covariance,
             verdict,
             assumption: found.assumption,
+            resolved,
             structure,
         };
         let mut members = members.into_iter().peekable();

@@ -51,6 +51,8 @@ pub struct MovingStructure<const D: usize> {
     pub verdict: Vec<Verdict>,
     /// What keeps common motion from being free.
     pub assumption: Assumption,
+    /// Was there so little at rest that freedoms of everything were looked for?
+    pub resolved: bool,
 }
 
 /// Why paths could not be sought at all.
