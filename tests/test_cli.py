@@ -138,7 +138,11 @@ def test_bodies_that_move(run: Run, tmp_path: Path) -> None:
     assert told["verdicts"]["moving"] == paths.moving.sum() > 100
     assert run("solve", "s.csv", "--motion", "auto", "--group", "--json").json["paths"] == told
     # movers are no points that hang loose
-    assert "in no part" not in run("check", "out").out
+    checked = run("check", "out")
+    assert checked.code == 0
+    assert checked.out.startswith("paths: determined: 4 free movements, of which the gauge has 4")
+    assert "\nof what rests: determined: all 40 views, " in checked.out
+    assert "in no part" not in checked.out
     assert run("evaluate", "out", "s.truth", "--json").json["camera_rms"] < 0.05
 
 
@@ -178,6 +182,19 @@ def test_a_body_that_the_camera_imitates_is_refused_by_name(run: Run) -> None:
     solved = run("solve", "b.csv", "--motion", "auto")
     assert "refused: track car: the camera itself moved in the form of its path" in solved.out
     assert run("solve", "b.csv", "--motion", "auto", "--json").json["paths"]["verdicts"]["imitated"] == 1
+
+
+def test_what_everything_may_share_is_free_and_said(run: Run) -> None:
+    """Each track was given a form that moves, so that everything may drift."""
+    run(*TRAFFIC)
+    solved = run("solve", "s.csv", "-o", "out", "--motion", "taylor:1", "--no-plots")
+    assert "free: everything, cameras and all, may share a motion linear in time" in " ".join(solved.out.split())
+    checked = run("check", "out")
+    assert (checked.code, checked.out.startswith("paths: undetermined: ")) == (3, True)
+    assert "contradicts" not in checked.out
+    # forms that nothing fits are no failure
+    bent = run("solve", "s.csv", "--motion", "spline:0,10,20,30", "--json").json
+    assert bent["paths"]["verdicts"]["moving"] < 100
 
 
 @pytest.mark.parametrize(

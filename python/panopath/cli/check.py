@@ -84,12 +84,16 @@ def check(
     }
 
     def show(console: Console) -> None:
-        show_certificate(console, certificate, scene, names, verbose)
         for line in told if verbose else told[:1]:
             console.print(line, markup=False)
+        if moving is not None:
+            console.print("of what rests:", end=" ")
+        show_certificate(console, certificate, scene, names, verbose)
 
     terminal.answer(plain, show)
-    if not certificate.is_determined or (moving is not None and not moving.is_determined):
+    # what is free of everything together says more than what rests can, which may be a single point
+    held = certificate.is_determined if moving is None else moving.is_determined and certificate.consistency.passed
+    if not held:
         raise typer.Exit(EXIT_UNDETERMINED)
 
 

@@ -104,7 +104,8 @@ def _show_refused(console: Console, paths: Paths, names: Sequence[str]) -> None:
 def show_sentence(console: Console, certificate: Certificate, scene: Scene) -> None:
     """Summarise a certificate in one line, among other answers."""
     told = certificate.sentence(scene.view_labels(), scene.track_labels())
-    console.print(f"certificate: {told}", markup=False)
+    label = "certificate" if scene.paths is None else "certificate of what rests"
+    console.print(f"{label}: {told}", markup=False)
 
 
 def parts_table(scene: Scene) -> Table:

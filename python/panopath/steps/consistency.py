@@ -10,7 +10,7 @@ import numpy as np
 from panopath import _core
 from panopath.certificate import Consistency
 from panopath.errors import InputError
-from panopath.model import Scene, Tracks
+from panopath.model import Bool, Float, Int, Scene, Tracks
 from panopath.steps.common import call_core, known_views, resting_observations
 from panopath.steps.refinement import check_scene
 
@@ -94,9 +94,17 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
         _core.check_consistency,
         observations,
         orientations,
-        (centers, still.points, still.view_component, still.track_component),
+        (_tied(centers, still, observations[0], rows), still.points, still.view_component, still.track_component),
         np.ascontiguousarray(scene.inlier[rows]),
         asdict(chosen),
     )
     figures = {name: (float(value), float(limit)) for name, value, limit in statistics}
     return Consistency(passed=not reasons, reasons=tuple(reasons), statistics=figures)
+
+
+def _tied(centers: Float, still: Scene, view: Int, rows: slice | Bool) -> Float:
+    """Centres of the views that what rests can tell of; one that sees only what moves is held by that."""
+    if isinstance(rows, slice):
+        return centers
+    used = np.bincount(view[still.inlier[rows]], minlength=len(centers)) > 0
+    return np.ascontiguousarray(np.where(used[:, None], centers, np.nan))

@@ -73,10 +73,10 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         raise InputError(f"the scene was not made from {tracks!r}: their numbers differ")
     if scene.inlier.shape != tracks.view.shape:
         raise InputError(f"scene.inlier has {len(scene.inlier)} entries, expected {len(tracks.view)}")
-    # a track of which nothing was found may have a form with gaps: it takes no part
+    # a track of which nothing was found takes no part; its form may have gaps
     models = [core_model(model) for model in scene.paths.models]
-    gaps = np.array([any(np.isnan(number) for number in numbers) for _, _, numbers in models], dtype=np.bool_)
-    used = scene.inlier & ~gaps[tracks.track]
+    lost = ~np.isfinite(scene.paths.coefficients[scene.paths.starts[:-1]]).all(axis=1)
+    used = scene.inlier & ~lost[tracks.track]
     each, sigma = _sigmas(tracks, scene, chosen)
     found = call_core(
         _core.freedoms_of_paths,
@@ -84,7 +84,10 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         (
             scene.centers,
             tracks.time_s,
-            [(form, order, [1.0 if np.isnan(x) else x for x in numbers]) for form, order, numbers in models],
+            [
+                (form, order, [1.0 if gone and np.isnan(x) else x for x in numbers])
+                for (form, order, numbers), gone in zip(models, lost.tolist(), strict=True)
+            ],
             scene.paths.coefficients,
         ),
         {
