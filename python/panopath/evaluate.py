@@ -227,8 +227,10 @@ class _Pairs:
 
 def _true_paths(truth: Any, scene: Scene, alignment: str) -> Paths | None:
     """Give the true paths, where both have some; the paper's gauge knows points alone."""
+    if scene.paths is None or alignment == "paper":
+        return None
     paths = getattr(truth, "paths", None)
-    if scene.paths is None or not isinstance(paths, Paths) or alignment == "paper":
+    if not isinstance(paths, Paths):
         return None
     if len(paths) != len(scene.paths) or paths.d != scene.d:
         raise InputError(f"the paths of truth are {paths!r}, but those of the scene {scene.paths!r}")
