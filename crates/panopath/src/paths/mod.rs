@@ -229,12 +229,9 @@ impl<'a, const D: usize> Input<'a, D> {
         let start = self.options.start.as_ref().map(|(centers, points)| (centers.clone(), points.clone()));
         let given = start.map(|(centers, points)| Structure { centers, points, ..nothing(self.tracks) });
         let Some(structure) = self.solve_at_rest(may_rest, given.as_ref())? else { return Ok(None) };
-        let mut is_seen = vec![false; self.tracks.n_views()];
-        self.tracks.view().iter().for_each(|&v| is_seen[v as usize] = true);
-        let lost = (0..is_seen.len()).any(|v| is_seen[v] && structure.view_component[v] < 0);
         // views that hang by moving tracks alone, or parts that only these join, need the joint way
         let joins = self.motion.forms.iter().flatten().any(|form| form.len() > 1);
-        let whole = !lost && structure.summary.n_components <= 1 && structure.summary.status != Status::Ambiguous;
+        let whole = self.is_whole(&structure) && structure.summary.status != Status::Ambiguous;
         Ok((whole || !joins).then_some(structure))
     }
 
@@ -285,18 +282,22 @@ impl<'a, const D: usize> Input<'a, D> {
         let mut resting = may_rest.clone();
         let mut fits = self.choose(&structure, &[]);
         for _ in 0..ROUNDS {
+            let is_whole = self.is_whole(&structure);
             let rests = |(t, fit): (usize, &Option<Fit>)| {
                 let known = matches!(self.motion.forms[t], Some(Form::Static));
-                may_rest[t] && (known || fit.as_ref().is_some_and(|fit| fit.form.len() == 1))
+                // of what views without a place saw, nothing is known yet
+                let unknown = !is_whole && fit.is_none() && self.is_lost(&structure, t);
+                may_rest[t] && (known || unknown || fit.as_ref().is_some_and(|fit| fit.form.len() == 1))
             };
             let now: Vec<bool> = fits.iter().enumerate().map(rests).collect();
             let changed = now.iter().zip(&resting).filter(|(a, b)| a != b).count();
             // the first cameras may come from some of the tracks
-            if changed as f64 <= STAYS * now.len() as f64 && !is_thinned {
+            if changed as f64 <= STAYS * now.len() as f64 && !is_thinned && (is_whole || changed == 0) {
                 break;
             }
             is_thinned = false;
-            let Some(next) = self.solve_at_rest(|t| now[t], Some(&structure))? else { break };
+            let start = is_whole.then_some(&structure);
+            let Some(next) = self.solve_at_rest(|t| now[t], start)? else { break };
             if next.summary.n_components == 0 {
                 break;
             }
@@ -306,6 +307,19 @@ impl<'a, const D: usize> Input<'a, D> {
         let known = self.n_known_static();
         let assumption = if known > 0 { Assumption::KnownStatic(known) } else { Assumption::MostStatic };
         Ok(Found { structure, fits, assumption })
+    }
+
+    /// Have all views that saw anything a place, in one part?
+    fn is_whole(&self, structure: &Structure<D>) -> bool {
+        let lost = self.tracks.view().iter().any(|&v| structure.view_component[v as usize] < 0);
+        !lost && structure.summary.n_components == 1
+    }
+
+    /// Have fewer than half of the views that saw a track a place?
+    fn is_lost(&self, structure: &Structure<D>, track: usize) -> bool {
+        let rows = self.observations(track);
+        let placed = rows.iter().filter(|&&o| structure.view_component[self.tracks.view()[o as usize] as usize] >= 0);
+        2 * placed.count() < rows.len()
     }
 
     /// Are there paths that the cameras should be solved with?
