@@ -44,8 +44,8 @@ def test_tracks_of_a_car_are_one_body(world: pp.SyntheticWorld, scene: pp.Scene)
     paths = paths_of(scene)
     moving = np.flatnonzero(paths.moving & (world.body >= 0))
     precision, recall = pair_scores(paths.body[moving], world.body[moving])
-    assert precision > 0.9
-    assert recall > 0.3
+    assert precision > 0.97
+    assert recall > 0.7
     assert (paths.body[~paths.moving] == -1).all()
     sizes = np.bincount(paths.body[paths.body >= 0])
     assert (sizes >= 2).all()
@@ -173,7 +173,7 @@ def test_evaluate_compares_along_paths(world: pp.SyntheticWorld, scene: pp.Scene
     assert np.isfinite(pp.evaluate(replace(scene, tracks=short), world).point_error[track])
 
 
-def test_orientations_half_a_degree_off_are_refined_with_paths(world: pp.SyntheticWorld) -> None:
+def test_orientations_half_a_degree_off_are_refined_with_paths() -> None:
     off = pp.simulate(
         "street",
         n_views=60,
@@ -200,7 +200,8 @@ def test_orientations_half_a_degree_off_are_refined_with_paths(world: pp.Synthet
     held = pp.solve_positions(off.tracks, off.cam_from_world, motion=pp.Motion())
     found = pp.solve_positions(off.tracks, off.cam_from_world, motion=pp.Motion(refine_orientations=True))
     error = pp.evaluate(found, off).camera_rms
-    assert error < 0.25 * pp.evaluate(held, off).camera_rms
+    assert error < 0.1 * pp.evaluate(held, off).camera_rms
+    assert (paths_of(found).moving == off.moving).mean() > 0.99
     # up to the one turn that bearings leave free
     fit = pp.evaluate(found, off).alignments[0].world_from_scene
     turn = found.cam_from_world @ fit.T @ true.cam_from_world.transpose(0, 2, 1)
