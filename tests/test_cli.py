@@ -118,6 +118,124 @@ def test_json_is_one_object_and_quiet_is_quiet(run: Run) -> None:
     assert "nothing was written" in run("solve", "b.csv").out
 
 
+TRAFFIC = (
+    *("simulate", "street", "-o", "s.csv", "--views", "40", "--points", "500", "--noise-deg", "0.03", "--seed", "3"),
+    *("--set", "mover_fraction=0.3", "--set", "n_bodies=6", "--set", "wobble_m=0.3"),
+)
+
+
+def test_bodies_that_move(run: Run, tmp_path: Path) -> None:
+    assert run(*TRAFFIC).code == 0
+    solved = run("solve", "s.csv", "-o", "out", "--motion", "auto", "--group", "--no-plots")
+    assert (solved.code, solved.err) == (0, "")
+    for text in ("at rest", "moving", "refused: hidden", "forms: ", "of taylor:1", "assumed: most tracks are at rest"):
+        assert text in solved.out
+    assert {"paths.csv", "scene.json", "report.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    paths = pp.read_scene("out").paths
+    assert paths is not None
+    assert f"rigid bodies of several tracks: {paths.body.max() + 1}, of {(paths.body >= 0).sum()} tracks" in solved.out
+    told = json.loads((tmp_path / "out" / "scene.json").read_text(encoding="utf-8"))["paths"]
+    assert told["verdicts"]["moving"] == paths.moving.sum() > 100
+    assert run("solve", "s.csv", "--motion", "auto", "--group", "--json").json["paths"] == told
+    # movers are no points that hang loose
+    checked = run("check", "out")
+    assert checked.code == 0
+    assert checked.out.startswith("paths: determined: 4 free movements, of which the gauge has 4")
+    assert "\nof what rests: determined: all 40 views, " in checked.out
+    assert "in no part" not in checked.out
+    assert run("evaluate", "out", "s.truth", "--json").json["camera_rms"] < 0.05
+
+
+def test_what_is_known_to_rest(run: Run, tmp_path: Path) -> None:
+    run(*TRAFFIC)
+    still = np.flatnonzero(~pp.simulate("street", **_TRAFFIC).moving)[:3].tolist()
+    (tmp_path / "known.txt").write_text("".join(f"{track}\n" for track in still) + "\n")
+    for given in (",".join(map(str, still)), "@known.txt"):
+        found = run("solve", "s.csv", "--motion", "auto", "--static", given, "--json").json
+        assert found["paths"]["assumption"] == "3 tracks are known to be at rest"
+
+
+_TRAFFIC: dict[str, Any] = {
+    "n_views": 40,
+    "n_points": 500,
+    "seed": 3,
+    "noise_rad": np.radians(0.03),
+    "mover_fraction": 0.3,
+    "n_bodies": 6,
+    "wobble_m": 0.3,
+}
+
+
+def test_a_body_that_the_camera_imitates_is_refused_by_name(run: Run) -> None:
+    """A camera on rails, and a car that goes as steadily."""
+    rng = np.random.default_rng(1)
+    time_s = np.linspace(0.0, 5.0, 25)
+    camera = np.outer(time_s, (1.0, 0.2, 0.0))
+    houses = rng.uniform(-10.0, 10.0, (30, 3))
+    car = np.array([2.0, 6.0, 1.0]) + np.outer(time_s, (0.3, 0.5, 0.1))
+    places = np.concatenate((np.repeat(houses[:, None], 25, axis=1), car[None]))
+    track, view = (index.ravel() for index in np.indices(places.shape[:2]))
+    ray = places[track, view] - camera[view]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    names = [*(f"house {k}" for k in range(30)), "car"]
+    pp.write_tracks(pp.Tracks.from_arrays(view, track, ray, time_s=time_s, track_names=names), "b.csv")
+    solved = run("solve", "b.csv", "--motion", "auto")
+    assert "refused: track car: the camera itself moved in the form of its path" in solved.out
+    assert run("solve", "b.csv", "--motion", "auto", "--json").json["paths"]["verdicts"]["imitated"] == 1
+
+
+def test_what_everything_may_share_is_free_and_said(run: Run) -> None:
+    """Each track was given a form that moves, so that everything may drift."""
+    run(*TRAFFIC)
+    solved = run("solve", "s.csv", "-o", "out", "--motion", "taylor:1", "--no-plots")
+    assert "free: everything, cameras and all, may share a motion linear in time" in " ".join(solved.out.split())
+    checked = run("check", "out")
+    assert (checked.code, checked.out.startswith("paths: undetermined: ")) == (3, True)
+    assert "contradicts" not in checked.out
+    # forms that nothing fits are no failure
+    bent = run("solve", "s.csv", "--motion", "spline:0,10,20,30", "--json").json
+    assert bent["paths"]["verdicts"]["moving"] < 100
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--motion", "taylor"), "--motion is 'taylor', expected static, taylor:ORDER"),
+        (("--motion", "taylor:x"), "--motion is 'taylor:x', expected"),
+        (("--motion", "taylor:99"), "--motion taylor:99: the order of taylor is 99"),
+        (("--motion", "spline:3,2"), "--motion spline:3,2: knots_s is (3.0, 2.0)"),
+        (("--motion", "spline:1,2:degree=1.5"), "--motion is 'spline:1,2:degree=1.5', expected"),
+        (("--motion", "fourier:2:omega=-1"), "--motion fourier:2:omega=-1: omega_rad_s is -1.0"),
+        (("--motion", "fourier:1:w=2"), "--motion is 'fourier:1:w=2', expected"),
+        (("--motion", "auto:1"), "--motion is 'auto:1', expected"),
+        (("--motion", ""), "--motion is '', expected"),
+        (("--motion", "auto", "--static", "nobody"), "--static names the track 'nobody'"),
+        (("--motion", "auto", "--static", ","), "--static ',' names no track"),
+        (("--motion", "auto", "--static", "@none.txt"), "--static @none.txt: cannot be read"),
+        (("--motion", "auto", "--static", "@some.txt"), "some.txt:2: names the track 'nobody'"),
+        (("--static", "1"), "--static tells nothing where everything is at rest, expected --motion"),
+        (("--group",), "--group tells nothing where everything is at rest, expected --motion"),
+        (("--motion", "auto", "--unknown-orientation"), "--motion needs orientations that are known"),
+        (("--motion", "auto", "--method", "linear"), "--motion goes with --method robust"),
+    ],
+)
+def test_bad_motions_are_one_line(run: Run, tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    run("simulate", "box", "-o", "b.csv", "--views", "5", "--points", "20")
+    (tmp_path / "some.txt").write_text("1\nnobody\n")
+    ran = run("solve", "b.csv", "-o", "out", *options)
+    assert ran.code == 2
+    assert said in ran.err
+    assert ran.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_motion_needs_times(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "b.csv").write_text("view,track,theta_deg,phi_deg\na,p,0,0\nb,p,10,0\n")
+    ran = run("solve", "b.csv", "--motion", "auto")
+    assert (ran.code, ran.err.count("\n")) == (2, 1)
+    assert "--motion needs the time of every view" in ran.err
+
+
 def test_undetermined_has_its_own_exit_code(run: Run, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("view,track,theta_deg,phi_deg\na,p,0,0\na,q,10,0\n")
     ran = run("solve", "one.csv", "-o", "out", "--json")

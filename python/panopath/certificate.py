@@ -171,7 +171,7 @@ class Certificate:
     sigma_source: Literal["given", "tracks", "residuals", "assumed"]
     #: A movement beyond this share of the component's size is weak.
     weak_movement: float
-    #: Views and tracks with at least one observation, whether the scene has them or not.
+    #: Views and tracks with at least one observation, whether the scene has them or not; no tracks that move.
     n_views: int
     n_tracks: int
     #: (all views,) component of each view, the largest where it is a hinge; -1 none.

@@ -16,9 +16,13 @@ import numpy.typing as npt
 
 from panopath.errors import InputError
 from panopath.model import Bool, Float, Scene, read_only
+from panopath.movers import resting, view_times
+from panopath.paths import Paths
 
 Alignment = Literal["similarity", "translation_scale", "paper"]
 
+#: Times at which paths are compared, where those of the views are not known.
+_PATH_TIMES = 16
 #: Below this share of the largest spread, positions count as lying on a line (in a point).
 _FLAT = 1e-9
 
@@ -49,7 +53,8 @@ class Evaluation:
     camera_rms: float
     camera_median: float
     camera_max: float
-    #: Root mean square and median error of the points. A few far points rule the first; the second says more.
+    #: Root mean square and median error of the points. A few far points rule the first; the second says more. The error
+    #: of a track that moves is the rms distance of its path from the true one, where both have paths.
     point_rms: float
     point_median: float
     #: Median over the points of error / distance to the nearest camera.
@@ -102,7 +107,7 @@ def evaluate(
     scene
         What was found.
     truth
-        Anything with ``centers`` and ``points`` (a scene, a synthetic world, ``read_truth``), or
+        Anything with ``centers`` and ``points``, maybe ``paths`` (a scene, a synthetic world, ``read_truth``), or
         ``(centers, points)``, or centers alone, in the order of the scene; NaN rows where not known.
     alignment
         ``similarity``: shift, rotation and scale (never a reflection). ``translation_scale``: shift and scale, for
@@ -128,7 +133,8 @@ def evaluate(
     centers, points = _truth(truth, scene)
     if alignment == "paper":
         points, centers = _paper_gauge(points, centers)
-    known = _Pairs.of(scene, centers, points)
+    true_paths = _true_paths(truth, scene, alignment)
+    known = _Pairs.of(scene, centers, points, true_paths)
     fits, aligned_centers, aligned_points = [], np.full_like(centers, np.nan), np.full_like(points, np.nan)
     for component in range(scene.n_components):
         fit = _align_component(known, component, alignment, trim or 0.0)
@@ -145,14 +151,37 @@ def evaluate(
         raise InputError(
             "there is nothing to compare: the scene and the truth share no known camera and no known point"
         )
-    return _evaluation(known, fits, aligned_centers, aligned_points)
+    along = None if true_paths is None else _path_errors(scene, true_paths, fits)
+    return _evaluation(known, fits, (aligned_centers, aligned_points), along)
+
+
+def _path_errors(scene: Scene, truth: Paths, fits: Sequence[ComponentAlignment]) -> Float:
+    """Root mean square distances (n_tracks,) between paths, over the times of the views; NaN of what rests in both."""
+    found, errors = scene.paths, np.full(len(scene.points), np.nan)
+    if found is None:
+        return errors
+    fit_of = {fit.component: fit for fit in fits}
+    times = view_times(scene)
+    for track in np.flatnonzero(found.moving | truth.moving).tolist():
+        fit = fit_of.get(int(scene.track_component[track]))
+        first, last = found.seen_s[track]
+        if fit is None or not np.isfinite(first + last):
+            continue
+        now = times[(times >= first) & (times <= last)] if len(times) else np.linspace(first, last, _PATH_TIMES)
+        place = fit.scale * found.position(track, now) @ fit.world_from_scene.T + fit.shift
+        square = ((place - truth.position(track, now, outside=True)) ** 2).sum(axis=1)
+        errors[track] = np.sqrt(square.mean()) if len(square) else np.nan
+    return errors
 
 
 def _evaluation(
-    known: _Pairs, fits: Sequence[ComponentAlignment], aligned_centers: Float, aligned_points: Float
+    known: _Pairs, fits: Sequence[ComponentAlignment], aligned: tuple[Float, Float], along: Float | None
 ) -> Evaluation:
+    aligned_centers, aligned_points = aligned
     camera_error = np.linalg.norm(aligned_centers - known.true_centers, axis=1)
     point_error = np.linalg.norm(aligned_points - known.true_points, axis=1)
+    if along is not None:
+        point_error = np.where(known.moving, along, point_error)
     cameras, points = camera_error[np.isfinite(camera_error)], point_error[np.isfinite(point_error)]
     relative = point_error / _nearest_distance(known.true_points, known.true_centers)
     relative = relative[np.isfinite(relative)]
@@ -185,12 +214,27 @@ class _Pairs:
     true_points: Float
     views: Bool
     points: Bool
+    #: Tracks that move, in one of both: they are compared along their paths, and fix no frame.
+    moving: Bool
 
     @classmethod
-    def of(cls, scene: Scene, centers: Float, points: Float) -> _Pairs:
+    def of(cls, scene: Scene, centers: Float, points: Float, paths: Paths | None) -> _Pairs:
         views = np.isfinite(centers).all(axis=1) & np.isfinite(scene.centers).all(axis=1)
         both = np.isfinite(points).all(axis=1) & np.isfinite(scene.points).all(axis=1)
-        return cls(scene, centers, points, np.asarray(views), np.asarray(both))
+        moving = ~resting(scene) if paths is None else ~resting(scene) | paths.moving
+        return cls(scene, centers, points, np.asarray(views), np.asarray(both & ~moving), np.asarray(moving))
+
+
+def _true_paths(truth: Any, scene: Scene, alignment: str) -> Paths | None:
+    """Give the true paths, where both have some; the paper's gauge knows points alone."""
+    if scene.paths is None or alignment == "paper":
+        return None
+    paths = getattr(truth, "paths", None)
+    if not isinstance(paths, Paths):
+        return None
+    if len(paths) != len(scene.paths) or paths.d != scene.d:
+        raise InputError(f"the paths of truth are {paths!r}, but those of the scene {scene.paths!r}")
+    return paths
 
 
 def _truth(truth: Any, scene: Scene) -> tuple[Float, Float]:

@@ -311,11 +311,6 @@ def model_of(kind: str, order: int, numbers: Sequence[float]) -> PathModel:
     return Static()
 
 
-def grouped(paths: Paths) -> Paths:
-    """Paths with the rigid bodies that they belong to."""
-    return paths
-
-
 def _turned(covariance: Float, matrix: Float) -> Float:
     """Covariance of vectors that are each multiplied by a matrix."""
     k = len(covariance) // len(matrix)

@@ -9,6 +9,7 @@ from typing import Annotated, get_args
 
 import numpy as np
 import typer
+from rich.console import Console
 
 from panopath.certificate import OrientationModel
 from panopath.certificate_text import (
@@ -24,8 +25,9 @@ from panopath.formats import (
     read_problem,
 )
 from panopath.formats.folder import check_certificate_writable, is_scene_folder
+from panopath.freedoms import PathCertificate
 from panopath.model import Float, PositionOptions, Problem, Scene, Status
-from panopath.steps import CertifyOptions, solve_positions
+from panopath.steps import CertifyOptions, FreedomOptions, certify_paths, solve_positions
 
 
 def check(
@@ -72,14 +74,34 @@ def check(
         with terminal.working("writing"):
             write_checked(certificate, scene, out, None if no_plots else Drawing(terminal))
     names = Names(scene.view_labels(), scene.track_labels())
+    moving = certified_paths(scene, sigma_rad, threads)
+    told = [] if moving is None else [f"paths: {line}" for line in moving.explain(names.views, names.tracks)]
     plain = certificate.to_dict(names.views, names.tracks) | {
         "lines": certificate.explain(names.views, names.tracks, (scene.centers, scene.points)),
+        **({} if moving is None else {"paths": {"is_determined": moving.is_determined, "lines": told}}),
         "wall_s": seconds,
         "out": None if out is None else str(out),
     }
-    terminal.answer(plain, lambda console: show_certificate(console, certificate, scene, names, verbose))
-    if not certificate.is_determined:
+
+    def show(console: Console) -> None:
+        for line in told if verbose else told[:1]:
+            console.print(line, markup=False)
+        if moving is not None:
+            console.print("of what rests:", end=" ")
+        show_certificate(console, certificate, scene, names, verbose)
+
+    terminal.answer(plain, show)
+    # what is free of everything together says more than what rests can, which may be a single point
+    held = certificate.is_determined if moving is None else moving.is_determined and certificate.consistency.passed
+    if not held:
         raise typer.Exit(EXIT_UNDETERMINED)
+
+
+def certified_paths(scene: Scene, sigma_rad: float | None, threads: int | None) -> PathCertificate | None:
+    """Find what stays free where tracks move; None where the scene has no paths, or no times to tell."""
+    if scene.paths is None or scene.tracks is None or scene.tracks.time_s is None:
+        return None
+    return certify_paths(scene.tracks, scene, FreedomOptions(sigma_rad=sigma_rad, threads=threads))
 
 
 def _scene_to_check(  # noqa: PLR0917 (what the command line says of it, all of it)

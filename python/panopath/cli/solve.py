@@ -13,6 +13,7 @@ import typer
 from panopath.certificate import OrientationModel
 from panopath.cli.app import EXIT_UNDETERMINED, AsJson, NoPlots, Overwrite, Quiet, Terminal
 from panopath.cli.certifying import Drawing, brief, certified, sigma_of, write_folder
+from panopath.cli.motion import form_of, motion_of
 from panopath.cli.tables import show_scene
 from panopath.errors import InputError
 from panopath.formats import (
@@ -21,6 +22,7 @@ from panopath.formats import (
 )
 from panopath.formats.csv import read_vectors
 from panopath.formats.folder import check_writable
+from panopath.formats.paths import paths_dict
 from panopath.model import (
     Float,
     Gauge,
@@ -31,10 +33,12 @@ from panopath.model import (
     PositionOptions,
     Problem,
     Scene,
+    Tracks,
     summary_dict,
 )
+from panopath.paths import Motion
 from panopath.pipeline import ReconstructOptions, fit_to_control, reconstruct_tracks
-from panopath.steps import CertifyOptions, RefineOptions, solve_positions
+from panopath.steps import CertifyOptions, FreedomOptions, RefineOptions, certify_paths, solve_positions
 
 
 def solve(
@@ -73,6 +77,16 @@ def solve(
     gravity: Annotated[
         Path | None, typer.Option(help="CSV view,x,y,z: the upward vertical in each camera, right to half a degree.")
     ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="Tracks may move: auto, taylor:ORDER, fourier:ORDER[:omega=RAD_S], spline:TIME,TIME,...[:degree=K]."
+        ),
+    ] = None,
+    static: Annotated[
+        str | None, typer.Option(help="With --motion: tracks known to be at rest, between commas, or @FILE.")
+    ] = None,
+    group: Annotated[bool, typer.Option("--group", help="With --motion: find tracks that move as one body.")] = False,
     overwrite: Overwrite = False,
     no_plots: NoPlots = False,
     as_json: AsJson = False,
@@ -90,6 +104,7 @@ def solve(
         raise InputError(
             "--gravity tells nothing new of known orientations, expected --unknown-orientation or --refine"
         )
+    _check_motion(motion, static, gravity, group=group, unknown_orientation=unknown_orientation, method=method)
     if out is not None:
         check_writable(out, overwrite)
     options = _position_options(
@@ -106,9 +121,14 @@ def solve(
     )
     with terminal.working("reading"):
         problem = with_sigma(read_problem(tracks, orientations), sigma_deg)
+    moves = None
+    if motion is not None:
+        moves = motion_of(motion, static, group=group, refine_orientations=refine_orientation, tracks=problem.tracks)
     begin = time.perf_counter()
     with terminal.working("solving"):
-        if unknown_orientation or refine_orientation:
+        if moves is not None:
+            scene = solve_moves(problem, options, moves)
+        elif unknown_orientation or refine_orientation:
             up = None if gravity is None else read_vectors(gravity, problem.tracks)
             scene = reconstruct(problem, options, up, unknown=unknown_orientation)
         else:
@@ -125,6 +145,7 @@ def solve(
             pictures = write_folder(scene, certificate, out, options, overwrite, drawing)
     plain = summary_dict(scene.summary) | {
         "certificate": brief(certificate, scene),
+        **({} if scene.paths is None else {"paths": paths_dict(scene)}),
         "wall_s": seconds,
         "out": None if out is None else str(out),
     }
@@ -133,12 +154,52 @@ def solve(
         raise typer.Exit(EXIT_UNDETERMINED)
 
 
+def _check_motion(
+    motion: str | None,
+    static: str | None,
+    gravity: Path | None,
+    *,
+    group: bool,
+    unknown_orientation: bool,
+    method: Method,
+) -> None:
+    """Refuse what does not go together, before anything is read."""
+    if motion is None:
+        for name, given in (("--static", static is not None), ("--group", group)):
+            if given:
+                raise InputError(f"{name} tells nothing where everything is at rest, expected --motion")
+        return
+    form_of(motion)
+    if unknown_orientation or gravity is not None:
+        raise InputError("--motion needs orientations that are known, or about right (--refine)")
+    if method != "robust":
+        raise InputError(f"--motion goes with --method robust, but --method is {method}")
+
+
+def solve_moves(problem: Problem, options: PositionOptions, motion: Motion) -> Scene:
+    """Cameras, points at rest and paths, and in words what stays free."""
+    rotations = problem.cam_from_world
+    if motion.refine_orientations and rotations is None:
+        rotations = no_turns(problem.tracks)
+    scene = solve_positions(problem.tracks, rotations, options, motion=motion)
+    if scene.paths is None or scene.paths.freedoms or not scene.summary.status.is_determined:
+        return scene
+    found = certify_paths(problem.tracks, scene, FreedomOptions(threads=options.threads))
+    words = found.words(scene.view_labels(), scene.track_labels())
+    return replace(scene, paths=replace(scene.paths, freedoms=words))
+
+
+def no_turns(tracks: Tracks) -> Float:
+    """Orientations of cameras that are not turned."""
+    return np.zeros(tracks.n_views) if tracks.d == 2 else np.tile(np.eye(3), (tracks.n_views, 1, 1))
+
+
 def reconstruct(problem: Problem, options: PositionOptions, up: Float | None, *, unknown: bool) -> Scene:
     """Orientations unknown, or free to move; known positions fit the result, turned too."""
     tracks = problem.tracks
     rotations = None if unknown else problem.cam_from_world
     if not unknown and rotations is None:
-        rotations = np.zeros(tracks.n_views) if tracks.d == 2 else np.tile(np.eye(3), (tracks.n_views, 1, 1))
+        rotations = no_turns(tracks)
     plain = replace(options, gauge="normalized" if options.gauge == "control" else options.gauge, control=None)
     steps = ReconstructOptions(
         positions=plain,

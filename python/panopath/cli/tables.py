@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ from panopath.model import (
     Scene,
     Status,
 )
+from panopath.movers import form_text
+from panopath.paths import Paths, PathVerdict
 
 MOST_ROWS = 12
 
@@ -23,6 +27,15 @@ STATUS_TEXT = {
     Status.AMBIGUOUS: "ambiguous: the bearings leave more free than shift and scale",
     Status.DISCONNECTED: "solved in parts that share no scale: positions of different parts cannot be compared",
     Status.UNDETERMINED: "undetermined: the bearings fix no part of the scene",
+}
+
+
+VERDICT_TEXT = {
+    PathVerdict.STATIC: "at rest",
+    PathVerdict.MOVING: "moving",
+    PathVerdict.IMITATED: "refused: imitated by the camera",
+    PathVerdict.HIDDEN: "refused: hidden",
+    PathVerdict.UNDETERMINED: "undetermined: seen too little, or nothing fits",
 }
 
 
@@ -38,6 +51,7 @@ def show_scene(  # noqa: PLR0917 (prints what was found, all of it)
     left = (summary.n_views - summary.n_solved_views, summary.n_tracks - summary.n_solved_points)
     if any(left):
         console.print(f"not determined: {left[0]:,} views and {left[1]:,} points")
+    show_paths(console, scene)
     show_sentence(console, certificate, scene)
     if out is None:
         console.print("nothing was written; -o FOLDER writes the scene")
@@ -48,10 +62,50 @@ def show_scene(  # noqa: PLR0917 (prints what was found, all of it)
         )
 
 
+def show_paths(console: Console, scene: Scene) -> None:
+    """Count what rests and what moves, say what was assumed and what is free, and name what was refused, and why."""
+    paths = scene.paths
+    if paths is None:
+        return
+    count = Counter(paths.verdicts)
+    table = Table(header_style="bold")
+    table.add_column("tracks", justify="right")
+    table.add_column("verdict")
+    for verdict in PathVerdict:
+        table.add_row(f"{count[verdict]:,}", VERDICT_TEXT[verdict])
+    console.print(table)
+    moving = np.flatnonzero(paths.moving).tolist()
+    forms = sorted(Counter(form_text(paths.models[track]) for track in moving).items())
+    if forms:
+        console.print("forms: " + ", ".join(f"{n:,} of {form}" for form, n in forms), markup=False)
+    if (bodies := int(paths.body.max(initial=-1)) + 1) > 0:
+        console.print(f"rigid bodies of several tracks: {bodies:,}, of {int((paths.body >= 0).sum()):,} tracks")
+    if paths.assumption:
+        console.print(f"assumed: {paths.assumption}", markup=False)
+    for freedom in paths.freedoms:
+        console.print(f"free: {freedom}", markup=False)
+    _show_refused(console, paths, scene.track_labels())
+
+
+def _show_refused(console: Console, paths: Paths, names: Sequence[str]) -> None:
+    why = {
+        PathVerdict.IMITATED: "the camera itself moved in the form of its path",
+        PathVerdict.HIDDEN: "it stood before or behind {} in every view",
+    }
+    refused = [track for track, verdict in enumerate(paths.verdicts) if verdict in why]
+    for track in refused[:MOST_ROWS]:
+        other = int(paths.hidden_by[track])
+        reason = why[paths.verdicts[track]].format("another" if other < 0 else f"track {names[other]}")
+        console.print(f"refused: track {names[track]}: {reason}", markup=False)
+    if len(refused) > MOST_ROWS:
+        console.print(f"refused: {len(refused) - MOST_ROWS:,} more")
+
+
 def show_sentence(console: Console, certificate: Certificate, scene: Scene) -> None:
     """Summarise a certificate in one line, among other answers."""
     told = certificate.sentence(scene.view_labels(), scene.track_labels())
-    console.print(f"certificate: {told}", markup=False)
+    label = "certificate" if scene.paths is None else "certificate of what rests"
+    console.print(f"{label}: {told}", markup=False)
 
 
 def parts_table(scene: Scene) -> Table:

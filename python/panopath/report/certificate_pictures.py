@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from panopath.certificate import Cause, Certificate, Mode
 from panopath.model import Float, Scene
+from panopath.movers import at_rest
 from panopath.report.pictures import _axes, _axis_names, _dot_size, _matplotlib, _sample
 
 Index = npt.NDArray[np.intp]
@@ -92,7 +93,8 @@ def draw_certificate(scene: Scene, certificate: Certificate, folder: str | PathL
         Without matplotlib.
     """
     figure_class = _matplotlib()
-    drawn = _prepared(scene, certificate)
+    # the certificate is of what rests
+    drawn = _prepared(at_rest(scene), certificate)
     planes = [("from above", 0, 1)] + ([("from the side", 0, 2)] if scene.d == 3 else [])
     figure = figure_class(figsize=(6.6 * len(planes) + 0.4, 7.6), layout="constrained")
     panels = figure.subplots(1, len(planes), squeeze=False)[0]
@@ -133,7 +135,8 @@ def explain(
     MissingExtraError
         Where pictures are asked for without matplotlib.
     """
-    lines = certificate.explain(scene.view_labels(), scene.track_labels(), (scene.centers, scene.points))
+    places = (scene.centers, at_rest(scene).points)
+    lines = certificate.explain(scene.view_labels(), scene.track_labels(), places)
     return lines, [] if folder is None else draw_certificate(scene, certificate, folder)
 
 

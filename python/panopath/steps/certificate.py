@@ -21,7 +21,7 @@ from panopath.certificate import (
 )
 from panopath.errors import InputError
 from panopath.model import Int, Scene, Tracks, read_only
-from panopath.steps.common import call_core, known_views, observations_of
+from panopath.steps.common import call_core, known_views, resting_observations
 from panopath.steps.consistency import ConsistencyOptions, check_consistency
 from panopath.steps.refinement import check_scene
 
@@ -58,6 +58,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         The observations; which view saw which track counts, and their ``sigma_rad``.
     scene
         Where all are: what a solver found, or the truth. Its inliers count; every part of it is looked at by itself.
+        With ``paths``, of cameras and tracks at rest alone; :func:`panopath.certify_paths` tells of the rest.
     options
         Choices; default ``CertifyOptions()``.
 
@@ -76,13 +77,16 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
     check_scene(scene, tracks)
     if tracks.d == 2 and chosen.orientation == "vertical":
         raise InputError("orientation is 'vertical', which tells nothing in the plane, expected 'known' or 'free'")
+    if len(scene.inlier) != len(tracks):
+        raise InputError(f"scene.inlier has {len(scene.inlier)} entries, but there are {len(tracks)} observations")
     orientations, centers = known_views(scene)
+    still, observations, rows = resting_observations(tracks, scene)
     found = call_core(
         _core.certify,
-        observations_of(tracks),
+        observations,
         orientations,
-        (centers, scene.points, scene.view_component, scene.track_component),
-        (scene.inlier, scene.residual_rad),
+        (centers, still.points, still.view_component, still.track_component),
+        (np.ascontiguousarray(scene.inlier[rows]), np.ascontiguousarray(scene.residual_rad[rows])),
         {
             "orientation": chosen.orientation,
             "sigma_rad": chosen.sigma_rad,
@@ -110,7 +114,7 @@ def certify(tracks: Tracks, scene: Scene, options: CertifyOptions | None = None)
         sigma_source=found["sigma_source"],
         weak_movement=chosen.weak_movement,
         n_views=len(np.unique(tracks.view)),
-        n_tracks=len(np.unique(tracks.track)),
+        n_tracks=len(np.unique(observations[1])),
         view_component=_largest([c.views for c in components], tracks.n_views),
         track_component=_largest([c.tracks for c in components], tracks.n_tracks),
         view_line=found["view_line"],

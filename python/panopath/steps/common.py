@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath.errors import InputError
-from panopath.model import Float, Int, Scene, Tracks, check_orientations
+from panopath.model import Bool, Float, Int, Scene, Tracks, check_orientations
+from panopath.movers import at_rest, resting
 
 #: View, track and bearing of each observation, numbers of views and tracks, sigma_rad.
 Observations = tuple[Int, Int, Float, int, int, Float | None]
@@ -27,6 +28,17 @@ def call_core(function: Any, *arguments: Any) -> Any:
 def observations_of(tracks: Tracks) -> Observations:
     """Observations in the form in which the core takes them."""
     return tracks.view, tracks.track, tracks.bearing, tracks.n_views, tracks.n_tracks, tracks.sigma_rad
+
+
+def resting_observations(tracks: Tracks, scene: Scene) -> tuple[Scene, Observations, slice | Bool]:
+    """Scene and observations without bodies that move, and which rows (N,) these are, for steps that know only rest."""
+    if scene.paths is None:
+        return scene, observations_of(tracks), slice(None)
+    rows: Bool = np.asarray(resting(scene)[tracks.track])
+    sigma = None if tracks.sigma_rad is None else np.ascontiguousarray(tracks.sigma_rad[rows])
+    view, track = np.ascontiguousarray(tracks.view[rows]), np.ascontiguousarray(tracks.track[rows])
+    bearing = np.ascontiguousarray(tracks.bearing[rows])
+    return at_rest(scene), (view, track, bearing, tracks.n_views, tracks.n_tracks, sigma), rows
 
 
 def orientations_of(tracks: Tracks, cam_from_world: npt.ArrayLike | None) -> Float | None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from math import radians
 
+import numpy as np
+
 from panopath import _core
 from panopath.certificate import Consistency
 from panopath.errors import InputError
-from panopath.model import Scene, Tracks
-from panopath.steps.common import call_core, known_views, observations_of
+from panopath.model import Bool, Float, Int, Scene, Tracks
+from panopath.steps.common import call_core, known_views, resting_observations
 from panopath.steps.refinement import check_scene
 
 
@@ -60,7 +62,8 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
         The observations, bearings in the cameras, or in the world where the scene's orientations are the identity.
         Their ``sigma_rad``, where given, are held against the residuals.
     scene
-        Views and points without a position are left out. A scene without any passes: it claims nothing.
+        Views and points without a position are left out, and with ``paths`` all tracks but those at rest. A scene
+        without any passes: it claims nothing.
     options
         Limits; default ``ConsistencyOptions()``.
 
@@ -86,13 +89,22 @@ def check_consistency(tracks: Tracks, scene: Scene, options: ConsistencyOptions 
     if len(scene.inlier) != len(tracks):
         raise InputError(f"scene.inlier has {len(scene.inlier)} entries, but there are {len(tracks)} observations")
     orientations, centers = known_views(scene)
+    still, observations, rows = resting_observations(tracks, scene)
     reasons, statistics = call_core(
         _core.check_consistency,
-        observations_of(tracks),
+        observations,
         orientations,
-        (centers, scene.points, scene.view_component, scene.track_component),
-        scene.inlier,
+        (_tied(centers, still, observations[0], rows), still.points, still.view_component, still.track_component),
+        np.ascontiguousarray(scene.inlier[rows]),
         asdict(chosen),
     )
     figures = {name: (float(value), float(limit)) for name, value, limit in statistics}
     return Consistency(passed=not reasons, reasons=tuple(reasons), statistics=figures)
+
+
+def _tied(centers: Float, still: Scene, view: Int, rows: slice | Bool) -> Float:
+    """Centres of the views that what rests can tell of; one that sees only what moves is held by that."""
+    if isinstance(rows, slice):
+        return centers
+    used = np.bincount(view[still.inlier[rows]], minlength=len(centers)) > 0
+    return np.ascontiguousarray(np.where(used[:, None], centers, np.nan))

@@ -11,7 +11,7 @@ from panopath import _core
 from panopath.certificate import Gap
 from panopath.errors import InputError
 from panopath.freedoms import Freedom, FreedomKind, NullVector, PathCertificate, Reach
-from panopath.model import Float, Scene, Tracks, read_only
+from panopath.model import Bool, Float, Scene, Tracks, read_only
 from panopath.paths import core_model
 from panopath.steps.common import call_core
 
@@ -73,7 +73,10 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         raise InputError(f"the scene was not made from {tracks!r}: their numbers differ")
     if scene.inlier.shape != tracks.view.shape:
         raise InputError(f"scene.inlier has {len(scene.inlier)} entries, expected {len(tracks.view)}")
-    used = scene.inlier
+    # a track of which nothing was found takes no part; its form may have gaps
+    models = [core_model(model) for model in scene.paths.models]
+    lost: Bool = np.asarray(~np.isfinite(scene.paths.coefficients[scene.paths.starts[:-1]]).all(axis=1))
+    used = scene.inlier & ~lost[tracks.track]
     each, sigma = _sigmas(tracks, scene, chosen)
     found = call_core(
         _core.freedoms_of_paths,
@@ -81,7 +84,10 @@ def certify_paths(tracks: Tracks, scene: Scene, options: FreedomOptions | None =
         (
             scene.centers,
             tracks.time_s,
-            [core_model(model) for model in scene.paths.models],
+            [
+                (form, order, [1.0 if gone and np.isnan(x) else x for x in numbers])
+                for (form, order, numbers), gone in zip(models, lost.tolist(), strict=True)
+            ],
             scene.paths.coefficients,
         ),
         {

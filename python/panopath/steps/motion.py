@@ -15,6 +15,7 @@ import numpy.typing as npt
 from panopath import _core
 from panopath.errors import InputError
 from panopath.model import Float, Int, Scene, Status, Tracks, read_only
+from panopath.movers import at_rest
 from panopath.steps.common import call_core, observations_of, orientations_of
 
 Flow = Literal["sphere", "horizon"]
@@ -156,7 +157,7 @@ def fit_rotations(
         The observations, bearings in the cameras.
     scene
         A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d), NaN where unknown; in the frame of
-        ``cam_from_world``.
+        ``cam_from_world``. Of a scene with ``paths`` the tracks at rest alone.
     cam_from_world
         Orientations so far, kept by views whose points do not fix one; default: those of the scene.
     weighting
@@ -172,7 +173,7 @@ def fit_rotations(
     InputError
         Naming the argument that cannot be used.
     """
-    given = (scene.centers, scene.points) if isinstance(scene, Scene) else scene
+    given = (scene.centers, at_rest(scene).points) if isinstance(scene, Scene) else scene
     centers, points = (np.ascontiguousarray(rows, dtype=np.float64) for rows in given)
     known = scene.cam_from_world if isinstance(scene, Scene) and cam_from_world is None else cam_from_world
     orientations = orientations_of(tracks, known)

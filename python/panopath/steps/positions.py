@@ -11,9 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from panopath import _core
+from panopath.bodies import grouped
 from panopath.errors import InputError
 from panopath.model import Control, Float, Int, PositionOptions, Scene, Status, Summary, Tracks, read_only
-from panopath.paths import Motion, PathModel, Paths, PathVerdict, Static, core_model, grouped, model_of
+from panopath.movers import at_rest, resting
+from panopath.paths import Motion, PathModel, Paths, PathVerdict, Static, core_model, model_of
 from panopath.steps.common import call_core, observations_of, orientations_of
 from panopath.steps.freedoms import certify_paths
 
@@ -108,7 +110,9 @@ def solve_moving(
         _core_options(options, tracks),
         start,
     )
-    scene = replace(scene_of(found, tracks), paths=paths_of(found["paths"], motion.group, tracks))
+    scene = replace(scene_of(found, tracks), paths=paths_of(found["paths"], tracks))
+    if motion.group:
+        scene = replace(scene, paths=grouped(scene))
     if not found["paths"]["resolved"] or scene.paths is None:
         return scene
     # so little is at rest that everything may share a motion: said whatever was assumed
@@ -138,7 +142,7 @@ def forms_of(motion: Motion, tracks: Tracks) -> tuple[list[PathModel], Int]:
     return forms, np.ascontiguousarray(index[model])
 
 
-def paths_of(found: Mapping[str, Any], group: bool, tracks: Tracks) -> Paths:
+def paths_of(found: Mapping[str, Any], tracks: Tracks) -> Paths:
     """Make the record of what the core found."""
     numbers, ends = found["numbers"].tolist(), found["number_starts"].tolist()
     rest = Static()
@@ -157,7 +161,7 @@ def paths_of(found: Mapping[str, Any], group: bool, tracks: Tracks) -> Paths:
         )
     kind, known = found["assumption"]
     verdict = {one.value: one for one in PathVerdict}
-    paths = Paths(
+    return Paths(
         models=models,
         starts=starts,
         coefficients=found["coefficients"],
@@ -168,7 +172,6 @@ def paths_of(found: Mapping[str, Any], group: bool, tracks: Tracks) -> Paths:
         body=np.full(len(models), -1, dtype=np.int32),
         assumption=_ASSUMPTIONS[kind].format(known, "track is" if known == 1 else "tracks are"),
     )
-    return paths if not group else grouped(paths)
 
 
 def position_covariance(
@@ -184,7 +187,8 @@ def position_covariance(
     tracks
         The observations, with their ``sigma_rad``; without, a standard deviation of one radian is meant.
     scene
-        A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d).
+        A scene, or ``(centers, points)`` of shapes (n_views, d) and (n_tracks, d). Of a scene with ``paths`` the
+        tracks at rest alone count.
     cam_from_world
         As in :func:`solve_positions`.
     inlier
@@ -201,7 +205,7 @@ def position_covariance(
     InputError
         Naming the argument that cannot be used.
     """
-    centers, points = _start(scene, tracks)
+    centers, points = _start(at_rest(scene) if isinstance(scene, Scene) else scene, tracks)
     mask = inlier
     if mask is None and isinstance(scene, Scene) and scene.inlier.shape == tracks.view.shape:
         mask = scene.inlier
@@ -209,6 +213,9 @@ def position_covariance(
         mask = np.ascontiguousarray(mask)
         if mask.dtype != np.bool_ or mask.shape != tracks.view.shape:
             raise InputError(f"inlier has type {mask.dtype} and shape {mask.shape}, expected bool {tracks.view.shape}")
+    if isinstance(scene, Scene) and scene.paths is not None:
+        still = resting(scene)[tracks.track]
+        mask = still if mask is None else mask & still
     covariance = call_core(
         _core.position_covariance,
         observations_of(tracks),

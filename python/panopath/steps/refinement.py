@@ -12,7 +12,7 @@ from panopath import _core
 from panopath.errors import InputError
 from panopath.model import Bool, Float, LinearSolver, Scene, Tracks, read_only
 from panopath.priors import Priors, Rig, RotationPriors
-from panopath.steps.common import call_core, observations_of
+from panopath.steps.common import call_core, resting_observations
 from panopath.steps.positions import scene_of
 
 
@@ -65,7 +65,8 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
     tracks
         The observations, bearings in the cameras (with a rig: in the frames of the views, see ``Rig.to_view``).
     scene
-        Where to start. Views without a position are left out; points without one are intersected anew.
+        Where to start. Views without a position are left out; points without one are intersected anew. With ``paths``
+        only tracks at rest take part.
     options
         Choices; default ``RefineOptions()``.
     rig
@@ -74,7 +75,9 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
     Returns
     -------
     Scene
-        ``scene.summary.status`` says how it ended.
+        ``scene.summary.status`` says how it ended. It has no ``paths``, and no points of what moves: cameras that
+        turned would leave them behind. ``Motion(refine_orientations=True)`` of :func:`panopath.solve_positions` refines
+        them too.
 
     Raises
     ------
@@ -87,14 +90,22 @@ def refine(tracks: Tracks, scene: Scene, options: RefineOptions | None = None, r
     if not isinstance(chosen, RefineOptions):
         raise InputError(f"options is a {type(chosen).__name__}, expected RefineOptions")
     check_scene(scene, tracks)
+    still, observations, rows = resting_observations(tracks, scene)
     found = call_core(
         _core.refine,
-        observations_of(tracks),
+        observations,
         scene.cam_from_world,
-        (scene.centers, scene.points, scene.view_component, scene.track_component),
-        _core_options(chosen, tracks, rig, scene.cam_from_world),
+        (still.centers, still.points, still.view_component, still.track_component),
+        _core_options(chosen, tracks, rig, scene.cam_from_world, rows),
     )
-    return scene_of(found, tracks)
+    return scene_of(found if scene.paths is None else _spread(found, rows, len(tracks)), tracks)
+
+
+def _spread(found: dict[str, Any], rows: slice | Bool, n: int) -> dict[str, Any]:
+    """Answers for all observations, where some took no part: these are not in use, and miss by nobody knows what."""
+    inlier, residual = np.zeros(n, dtype=np.bool_), np.full(n, np.nan)
+    inlier[rows], residual[rows] = found["inlier"], found["residual_rad"]
+    return {**found, "inlier": inlier, "residual_rad": residual}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +134,7 @@ def scene_covariance(  # noqa: PLR0917 (the public names and their order are fix
     tracks
         The observations, as for :func:`refine`. Their ``sigma_rad`` are standard deviations where they are given.
     scene
-        What :func:`refine` found; its inliers count.
+        What :func:`refine` found; its inliers count, with ``paths`` those of tracks at rest.
     options, rig
         Those of the refinement: priors and what was held fix what bearings leave free.
     relative_to
@@ -154,15 +165,16 @@ def scene_covariance(  # noqa: PLR0917 (the public names and their order are fix
         sigma = float(scene.summary.sigma_rad if sigma_rad is None else sigma_rad)
     if not (np.isfinite(sigma) and sigma > 0.0):
         raise InputError(f"sigma_rad is {sigma}, expected a positive number")
+    still, observations, rows = resting_observations(tracks, scene)
     cameras, points = call_core(
         _core.scene_covariance,
-        observations_of(tracks),
+        observations,
         scene.cam_from_world,
-        (scene.centers, scene.points, scene.view_component, scene.track_component),
-        scene.inlier,
+        (still.centers, still.points, still.view_component, still.track_component),
+        np.ascontiguousarray(scene.inlier[rows]),
         relative_to,
         sigma,
-        _core_options(chosen, tracks, rig, scene.cam_from_world),
+        _core_options(chosen, tracks, rig, scene.cam_from_world, rows),
     )
     return SceneCovariance(read_only(cameras), read_only(points))
 
@@ -175,12 +187,15 @@ def check_scene(scene: Scene, tracks: Tracks) -> None:
         raise InputError(f"{scene!r} is not a scene of {tracks!r}")
 
 
-def _core_options(options: RefineOptions, tracks: Tracks, rig: Rig | None, cam_from_world: Float) -> dict[str, Any]:
+def _core_options(
+    options: RefineOptions, tracks: Tracks, rig: Rig | None, cam_from_world: Float, rows: slice | Bool
+) -> dict[str, Any]:
+    sensors = None if rig is None else rig_columns(rig, tracks)
     return {
         "hold_rotations": _mask("hold_rotations", options.hold_rotations, tracks.n_views),
         "hold_centers": _mask("hold_centers", options.hold_centers, tracks.n_views),
         "hold_points": _mask("hold_points", options.hold_points, tracks.n_tracks),
-        "rig": None if rig is None else rig_columns(rig, tracks),
+        "rig": None if sensors is None else (np.ascontiguousarray(sensors[0][rows]), sensors[1]),
         "huber_sigmas": float(options.huber_sigmas),
         "reject_outliers": options.reject_outliers,
         "max_iterations": options.max_iterations,

@@ -353,6 +353,10 @@ impl<'a, const D: usize> Input<'a, D> {
     fn solve_jointly<const V: usize>(&self, found: &mut Found<D>) -> Result<(), PathError> {
         let members = self.members(found, |track, fit| self.bends(track, fit));
         let frame = Frame::lay_out(self, &found.structure, &members, self.motion.free_orientations);
+        if frame.state.part.n_nodes == 0 {
+            // no track has a path of its form that the cameras could rest on: what was found stands
+            return Ok(());
+        }
         let mut system = frame.system::<V>(self.motion.free_orientations)?;
         let settled =
             settle::<D, V>(&frame.given(self), &mut system, frame.state.clone(), self.options.max_iterations)?;
