@@ -5,7 +5,8 @@
 //! vectors of the path. A path that goes with the camera meets that too, so what is wanted is the least
 //! `sum ((s x v) . P)^2 + e^2 |P|^2` for a given part of `P` across `s`.
 //!
-//! A frequency that fits has fractions that fit as well, with higher harmonics: the highest of equals is taken.
+//! A frequency that fits has fractions that fit as well, and others whose harmonics look like it at the times that were
+//! sampled. All of these go by a higher harmonic, so of nearly equal costs one whose first harmonic is the largest is taken.
 
 use std::f64::consts::PI;
 
@@ -26,8 +27,9 @@ const STEPS: usize = 8192;
 /// Minima of a scan that are looked at closer, and divisions of each golden section.
 const MINIMA: usize = 12;
 const DIVISIONS: usize = 55;
-/// Costs that differ by less than this share are equal.
-const EQUAL: f64 = 0.05;
+/// Squared costs within this multiple of the least are nearly equal; the first harmonic then has more than this share.
+const NEARLY: f64 = 4.0;
+const FIRST_SHARE: f64 = 0.5;
 /// Noise that the scan allows for, radians, so that frequencies nearby show; and the closer look.
 const COARSE_RAD: f64 = 0.02;
 const FINE_RAD: f64 = 0.002;
@@ -72,7 +74,15 @@ impl<const D: usize> Input<'_, D> {
             let reach = FINE_REACH * grid.step;
             let closer: Vec<(f64, f64)> =
                 minima.into_par_iter().map(|(_, w)| golden(w - reach, w + reach, &|w| total(w, FINE_RAD))).collect();
-            highest_of_equals(&closer)
+            let first = |omega: f64| {
+                let shares = group.iter().filter_map(|(t, seen)| {
+                    let form = with_frequency(self.forms[*t].as_ref()?, omega);
+                    let found = fit::<D>(seen, &form, FINE_RAD.max(sigma))?;
+                    Some(first_share(found.vectors.iter().map(|p| p.dot::<D>(p))))
+                });
+                shares.fold(f64::INFINITY, f64::min)
+            };
+            chosen(&closer, first)
         };
         let found: Vec<(usize, f64)> = if self.motion.common_frequency {
             let common = search(&seen);
@@ -98,7 +108,11 @@ impl<const D: usize> Input<'_, D> {
             let times: Vec<f64> = group.iter().flat_map(|(_, beside)| beside.time_s.iter().copied()).collect();
             let highest = group.iter().map(|(_, beside)| beside.order).max()?;
             let total = |omega: f64| group.iter().map(|(_, beside)| beside.cost(omega)).sum::<f64>();
-            highest_of_equals(&Grid::over(times, highest)?.minima(&total))
+            let first = |omega: f64| {
+                let shares = group.iter().map(|(_, beside)| beside.softest(omega).1);
+                shares.fold(f64::INFINITY, f64::min)
+            };
+            chosen(&Grid::over(times, highest)?.minima(&total), first)
         };
         let found: Vec<(usize, f64)> = if self.motion.common_frequency {
             let common = search(&seen);
@@ -186,9 +200,17 @@ fn golden(mut a: f64, mut b: f64, cost: &impl Fn(f64) -> f64) -> (f64, f64) {
     if at_c < at_d { (at_c, c) } else { (at_d, d) }
 }
 
-fn highest_of_equals(minima: &[(f64, f64)]) -> Option<f64> {
-    let least = minima.iter().map(|m| m.0).min_by(f64::total_cmp)?;
-    minima.iter().filter(|m| m.0 <= (1.0 + EQUAL) * least).map(|m| m.1).max_by(f64::total_cmp)
+/// The frequency of least cost, of those that go by their first harmonic where there are such.
+fn chosen(minima: &[(f64, f64)], first: impl Fn(f64) -> f64) -> Option<f64> {
+    let best = minima.iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let near = minima.iter().filter(|m| m.0 <= NEARLY * best.0 && first(m.1) > FIRST_SHARE);
+    Some(near.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or(best).1)
+}
+
+/// Share of the first harmonic, of the squared lengths of all vectors.
+fn first_share(squared: impl Iterator<Item = f64>) -> f64 {
+    let harmonics: Vec<f64> = squared.skip(1).collect();
+    harmonics.iter().take(2).sum::<f64>() / harmonics.iter().sum::<f64>().max(f64::MIN_POSITIVE)
 }
 
 /// A body beside a point at rest, seen by views of which nothing is known.
@@ -249,6 +271,11 @@ impl Beside {
 
     /// Least `sum (m . P)^2 + e^2 |P|^2` over `sum |(I - s s^T) P|^2`.
     fn cost(&self, omega: f64) -> f64 {
+        self.softest(omega).0
+    }
+
+    /// The same, with the share that the first harmonic has of that path.
+    fn softest(&self, omega: f64) -> (f64, f64) {
         let (sums, n) = (self.sums(omega), self.unknowns());
         let (mut off, mut across) = (vec![0.0; n * n], vec![0.0; n * n]);
         const PLACE: [[usize; 3]; 3] = [[0, 1, 3], [1, 2, 4], [3, 4, 5]];
@@ -266,7 +293,7 @@ impl Beside {
             }
         }
         if !factorise(&mut off, n) {
-            return f64::INFINITY;
+            return (f64::INFINITY, 0.0);
         }
         let mut x: Vec<f64> = (0..n).map(|k| ((k + 1) as f64 * 0.618_033_988_749_894_9).fract() - 0.5).collect();
         let mut largest = 0.0;
@@ -280,7 +307,9 @@ impl Beside {
             forward(&off, n, &mut x);
             largest = x.iter().zip(&before).map(|(a, b)| a * b).sum();
         }
-        if largest > 0.0 { 1.0 / largest } else { f64::INFINITY }
+        backward(&off, n, &mut x);
+        let share = first_share(x.chunks_exact(3).map(|p| p.iter().map(|v| v * v).sum()));
+        (if largest > 0.0 { 1.0 / largest } else { f64::INFINITY }, share)
     }
 }
 
@@ -334,14 +363,14 @@ fn backward(factor: &[f64], n: usize, x: &mut [f64]) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Beside, Grid, golden, highest_of_equals};
+    use super::{Beside, Grid, chosen, golden};
 
     #[test]
-    fn the_highest_of_equal_minima_is_found() {
+    fn the_equal_that_goes_by_its_first_harmonic_is_found() {
         let cost = |w: f64| 1.0 + (2.0 * (w - 3.7)).sin().powi(2).min((2.0 * (w - 5.1)).sin().powi(2));
         let times: Vec<f64> = (0..60).map(|k| 0.5 * f64::from(k)).collect();
         let minima = Grid::over(times, 1).map(|grid| grid.minima(&cost)).unwrap_or_default();
-        let found = highest_of_equals(&minima).unwrap_or(f64::NAN);
+        let found = chosen(&minima, |w| f64::from((w - 5.27).abs() < 0.01)).unwrap_or(f64::NAN);
         assert!((found - 5.270_796_326_794_897).abs() < 1e-6, "{found}, {minima:?}");
         assert!((golden(0.5, 4.0, &|w| (w - 2.0).powi(2)).1 - 2.0).abs() < 1e-7);
         assert!(Grid::over(vec![1.0], 1).is_none() && Grid::over(Vec::new(), 1).is_none());
@@ -365,7 +394,7 @@ mod tests {
             beside.forms.push(form);
         }
         let minima = Grid::over(time_s, 2).map(|grid| grid.minima(&|w| beside.cost(w))).unwrap_or_default();
-        let found = highest_of_equals(&minima).unwrap_or(f64::NAN);
+        let found = chosen(&minima, |w| beside.softest(w).1).unwrap_or(f64::NAN);
         assert!((found - 1.3).abs() < 1e-5, "{found}, {minima:?}");
     }
 }

@@ -33,6 +33,7 @@ use rayon::prelude::*;
 use crate::bundle::noise::{SIGMA_FLOOR_RAD, precisions};
 use crate::bundle::part::Lanes;
 use crate::geometry::{Rotation, Vector, norm, sub};
+use crate::least_squares::LeastSquaresError;
 use crate::positions::{Gauge, Method, PositionOptions, place_structure, solve_positions};
 use crate::structure::{Status, Structure};
 use crate::tracks::Tracks;
@@ -519,6 +520,9 @@ impl<'a, const D: usize> Input<'a, D> {
             .collect();
         let mut found = Found { structure, fits, assumption: Assumption::LeastMotion };
         let members = self.members(&found, |_, _| true);
+        if members.is_empty() {
+            return Err(LeastSquaresError::Singular { pivot: 0 }.into());
+        }
         let frame = Frame::lay_out(self, &found.structure, &members, false);
         let members: Vec<(u32, Vec<u32>)> = members.into_iter().map(|m| (m.track, m.rows)).collect();
         let state = start::start(frame.state.clone())?;
@@ -575,7 +579,12 @@ impl<'a, const D: usize> Input<'a, D> {
             if self.motion.covariance {
                 let bends = frame.keep_where(&own, |member| self.bends(member.track as usize, member.fit));
                 let free = self.motion.free_orientations;
-                if let Ok(blocks) = covariance::covariances::<D, V>(&weights, &bends, free, sigma) {
+                let blocks = if free {
+                    covariance::covariances::<D, V>(&weights, &bends, free, sigma)
+                } else {
+                    covariance::covariances::<D, D>(&weights, &bends, free, sigma)
+                };
+                if let Ok(blocks) = blocks {
                     for (j, block) in blocks.into_iter().enumerate() {
                         covariance[part_layout.input_track[j] as usize] = block;
                     }
