@@ -14,7 +14,7 @@ pub(crate) const fn turns(d: usize) -> usize {
 
 /// The unknowns that follow them.
 pub(crate) fn shift_of<const D: usize, const V: usize>(x: &[f64; V]) -> Lanes {
-    Lanes::from_vector::<D>(&std::array::from_fn(|c| x[turns(D) + c]))
+    Lanes::from_vector::<D>(&std::array::from_fn(|c| x[V - D + c]))
 }
 
 /// A row of a block of poses: at most six numbers.
@@ -64,8 +64,11 @@ impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
 
     #[inline(always)]
     fn lift(&self, o: usize, j: usize, row: &Lanes) -> PoseRow {
-        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
         let Lanes([x, y, z, _]) = *row;
+        if V == D {
+            return PoseRow([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        }
+        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
         if D == 2 {
             PoseRow([x * dy - y * dx, x, y, 0.0, 0.0, 0.0, 0.0, 0.0])
         } else {
@@ -75,8 +78,12 @@ impl<const D: usize, const V: usize> Freedoms<D, V> for Turns<'_, D> {
 
     #[inline(always)]
     fn lift_rows(&self, o: usize, j: usize, rows: &[PoseRow; D]) -> [PoseRow; V] {
-        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
         let mut lifted = [PoseRow::ZERO; V];
+        if V == D {
+            lifted[..D].copy_from_slice(rows);
+            return lifted;
+        }
+        let Lanes([dx, dy, dz, _]) = self.arm(o, j);
         let zero = PoseRow::ZERO;
         if D == 2 {
             lifted[0] = zero.plus_scaled(dy, &rows[0]).plus_scaled(-dx, &rows[1]);

@@ -11,7 +11,7 @@ use crate::bundle::courses::CourseSystem;
 use crate::bundle::determinacy::Motions;
 use crate::bundle::part::{Course, Lanes};
 use crate::bundle::reduced::{Damping, Quadratic, Weighing, most_observed_node};
-use crate::bundle::turns::{Turns, origin_shift, turns};
+use crate::bundle::turns::{Turns, origin_shift};
 use crate::least_squares::{BlockPattern, LeastSquaresError, LinearSolver, SelectedInverse, inner, symmetric_eigen_of};
 
 /// Covariances of the vectors of each track of the part, by rows, in its unit; those of tracks that nothing tells of are
@@ -41,7 +41,7 @@ impl<const V: usize> Cameras<V> {
     ) -> Result<Self, LeastSquaresError> {
         let state = weights.state;
         let part = &state.part;
-        let (centers, n_turns) = (&state.estimate.centers, turns(D));
+        let (centers, n_turns) = (&state.estimate.centers, V - D);
         let mut held: Vec<bool> = (0..part.n_nodes * V).map(|k| k % V < n_turns && !free_turns).collect();
         let pinned = most_observed_node(part);
         held[pinned * V..(pinned + 1) * V].fill(true);
@@ -98,7 +98,7 @@ fn farthest_unknown<const D: usize, const V: usize>(centers: &[Lanes], pinned: u
         for c in 0..D {
             let distance = (center.0[c] - centers[pinned].0[c]).abs();
             if distance > farthest.1 {
-                farthest = (node * V + turns(D) + c, distance);
+                farthest = (node * V + V - D + c, distance);
             }
         }
     }

@@ -110,7 +110,7 @@ impl<const D: usize> Frame<D> {
     /// The system of all poses; the view that saw most is pinned.
     pub fn system<const V: usize>(&self, free_turns: bool) -> Result<PoseSystem<D, V>, LeastSquaresError> {
         let part = &self.state.part;
-        let mut held: Vec<bool> = (0..part.n_nodes * V).map(|k| k % V < turns(D) && !free_turns).collect();
+        let mut held: Vec<bool> = (0..part.n_nodes * V).map(|k| k % V < V - D && !free_turns).collect();
         let pinned = most_observed_node(part);
         held[pinned * V..(pinned + 1) * V].fill(true);
         PoseSystem::<D, V>::analyse(part, Default::default(), held)

@@ -323,7 +323,10 @@ fn check<const D: usize>(scene: &MovingScene<'_, D>, options: &FreedomOptions) -
             return Err(FreedomError::Option { name, found });
         }
     }
-    if let Some(track) = scene.forms.iter().position(|form| !is_filled(form)) {
+    // a path that was not found is seen by nobody
+    let mut is_seen = vec![false; scene.forms.len()];
+    scene.track.iter().for_each(|&t| is_seen[t as usize] = true);
+    if let Some(track) = (0..is_seen.len()).find(|&t| is_seen[t] && !is_filled(&scene.forms[t])) {
         return Err(FreedomError::NotFilled { track });
     }
     Ok(())
@@ -395,7 +398,7 @@ mod tests {
         let scene = |view: &'static [u32], forms: &[Form]| {
             let scene = MovingScene {
                 view,
-                track: &[0],
+                track: &[2],
                 sigma_rad: &[],
                 centers: &centers,
                 time_s: &time_s,

@@ -11,6 +11,7 @@ mod basis;
 mod covariance;
 mod frame;
 mod freedoms;
+mod frequency;
 mod gauge;
 mod joint;
 mod options;
@@ -32,6 +33,7 @@ use rayon::prelude::*;
 use crate::bundle::noise::{SIGMA_FLOOR_RAD, precisions};
 use crate::bundle::part::Lanes;
 use crate::geometry::{Rotation, Vector, norm, sub};
+use crate::least_squares::LeastSquaresError;
 use crate::positions::{Gauge, Method, PositionOptions, place_structure, solve_positions};
 use crate::structure::{Status, Structure};
 use crate::tracks::Tracks;
@@ -63,10 +65,18 @@ pub fn solve_paths<const D: usize, const V: usize>(
 ) -> Result<MovingStructure<D>, PathError> {
     const { assert!((D == 2 || D == 3) && V == D * (D + 1) / 2) }
     check(tracks, time_s, motion, options)?;
-    let input = Input::new(tracks, time_s, cam_from_world, motion, options);
+    let mut input = Input::new(tracks, time_s, cam_from_world, motion, options);
     let mut found = match input.cameras_of_tracks_at_rest()? {
-        Some(structure) => input.choose_in_turns(structure)?,
-        None => input.without_cameras::<V>()?,
+        Some(structure) => {
+            input.find_frequencies(&structure.0);
+            input.choose_in_turns(structure)?
+        }
+        None => {
+            input.find_frequencies_without_cameras();
+            let mut found = input.without_cameras::<V>()?;
+            input.find_what_is_left(&mut found);
+            found
+        }
     };
     if input.moves_jointly(&found) {
         input.solve_jointly::<V>(&mut found)?;
@@ -108,6 +118,8 @@ struct Input<'a, const D: usize> {
     cam_from_world: Option<&'a [Rotation<D>]>,
     motion: &'a Motion,
     options: &'a PositionOptions<D>,
+    /// Form of each track's path, with the frequencies that were found.
+    forms: Vec<Option<Form>>,
     /// Bearings with their precision in lane 3.
     bearing: Vec<Lanes>,
     start: Vec<u32>,
@@ -143,7 +155,8 @@ impl<'a, const D: usize> Input<'a, D> {
         tracks.track().iter().for_each(|&t| start[t as usize + 1] += 1);
         (0..tracks.n_tracks()).for_each(|t| start[t + 1] += start[t]);
         let bearing = tracks.bearing().iter().enumerate().map(lanes).collect();
-        Self { tracks, time_s, cam_from_world, motion, options, bearing, start, observation }
+        let forms = motion.forms.clone();
+        Self { tracks, time_s, cam_from_world, motion, options, forms, bearing, start, observation }
     }
 
     fn observations(&self, track: usize) -> &[u32] {
@@ -260,7 +273,7 @@ impl<'a, const D: usize> Input<'a, D> {
         let sigma = structure.summary.sigma_rad.max(SIGMA_FLOOR_RAD);
         let path = |track: usize| {
             let (sightings, _) = self.sightings(structure, track);
-            match &self.motion.forms[track] {
+            match &self.forms[track] {
                 _ if sightings.len() < 2 => None,
                 Some(form) => fit::<D>(&sightings, form, sigma),
                 None => {
@@ -342,15 +355,36 @@ impl<'a, const D: usize> Input<'a, D> {
         members
             .map(|(track, fit)| {
                 let (_, rows) = self.sightings(&found.structure, track);
-                let seeks =
-                    matches!(self.motion.forms[track], Some(Form::Fourier { omega_rad_s, .. }) if omega_rad_s.is_nan());
+                let sought = |form: &Form| !frequency::has_frequency(form);
+                // one for all stays as it was found
+                let seeks = !self.motion.common_frequency && self.motion.forms[track].as_ref().is_some_and(sought);
                 Member { track: track as u32, rows, fit, seeks_frequency: seeks }
             })
             .collect()
     }
 
+    /// Paths of the tracks that show their frequency only now that cameras are known.
+    fn find_what_is_left(&mut self, found: &mut Found<D>) {
+        let left = self.without_frequency();
+        if left.is_empty() || found.structure.summary.n_components != 1 {
+            return;
+        }
+        self.find_frequencies(&found.structure);
+        let sigma = found.structure.summary.sigma_rad.max(SIGMA_FLOOR_RAD);
+        for t in left {
+            let (sightings, _) = self.sightings(&found.structure, t);
+            found.fits[t] = self.forms[t].as_ref().and_then(|form| fit::<D>(&sightings, form, sigma));
+        }
+    }
+
     /// Cameras, points and the paths of given form together.
     fn solve_jointly<const V: usize>(&self, found: &mut Found<D>) -> Result<(), PathError> {
+        // turns that are held need no place in the equations
+        if self.motion.free_orientations { self.solve_all::<V>(found) } else { self.solve_all::<D>(found) }
+    }
+
+    /// The same with `V` unknowns for each view.
+    fn solve_all<const V: usize>(&self, found: &mut Found<D>) -> Result<(), PathError> {
         let members = self.members(found, |track, fit| self.bends(track, fit));
         let frame = Frame::lay_out(self, &found.structure, &members, self.motion.free_orientations);
         if frame.state.part.n_nodes == 0 {
@@ -452,8 +486,10 @@ impl<'a, const D: usize> Input<'a, D> {
                 ends.push((cost, found));
             }
         }
-        let mut found = self.linear_start::<V>()?;
-        if let Ok(cost) = self.descend_from::<V>(&mut found) {
+        // equations that stay singular tell nothing, which is an answer
+        if let Ok(mut found) = self.linear_start::<V>()
+            && let Ok(cost) = self.descend_from::<V>(&mut found)
+        {
             ends.push((cost, found));
         }
         let best = ends.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, found)| found);
@@ -493,16 +529,20 @@ impl<'a, const D: usize> Input<'a, D> {
         let fits: Vec<Option<Fit>> = (0..self.tracks.n_tracks())
             .map(|t| {
                 let (sightings, rows) = self.sightings(&structure, t);
-                let form = self.motion.forms[t].clone().unwrap_or(Form::Static);
+                let form = self.forms[t].clone().unwrap_or(Form::Static);
                 let (first, last) = sightings.span();
                 let form = form.over(first, last);
-                let enough = rows.len() >= 2 && (D - 1) * rows.len() >= D * form.len();
+                let enough =
+                    frequency::has_frequency(&form) && rows.len() >= 2 && (D - 1) * rows.len() >= D * form.len();
                 let vectors = vec![Lanes::ZERO; form.len()];
                 enough.then(|| Fit { form, vectors, keep: vec![true; rows.len()], cost: 0.0 })
             })
             .collect();
         let mut found = Found { structure, fits, assumption: Assumption::LeastMotion };
         let members = self.members(&found, |_, _| true);
+        if members.is_empty() {
+            return Err(LeastSquaresError::Singular { pivot: 0 }.into());
+        }
         let frame = Frame::lay_out(self, &found.structure, &members, false);
         let members: Vec<(u32, Vec<u32>)> = members.into_iter().map(|m| (m.track, m.rows)).collect();
         let state = start::start(frame.state.clone())?;
@@ -564,7 +604,12 @@ impl<'a, const D: usize> Input<'a, D> {
             if self.motion.covariance {
                 let bends = frame.keep_where(&own, |member| self.bends(member.track as usize, member.fit));
                 let free = self.motion.free_orientations;
-                if let Ok(blocks) = covariance::covariances::<D, V>(&weights, &bends, free, sigma) {
+                let blocks = if free {
+                    covariance::covariances::<D, V>(&weights, &bends, free, sigma)
+                } else {
+                    covariance::covariances::<D, D>(&weights, &bends, free, sigma)
+                };
+                if let Ok(blocks) = blocks {
                     for (j, block) in blocks.into_iter().enumerate() {
                         covariance[part_layout.input_track[j] as usize] = block;
                     }

@@ -110,6 +110,15 @@ fn richer(form: &Form, candidate: &Form) -> Option<Form> {
     }
 }
 
+/// Does rest explain a track?
+pub(super) fn is_at_rest<const D: usize>(sightings: &Sightings, sigma: f64) -> bool {
+    let still = fit::<D>(sightings, &Form::Static, sigma);
+    still.is_some_and(|fit| {
+        fit.n_kept() as f64 >= AT_REST_SHARE * sightings.len() as f64
+            && inlier_cost(&fit) <= chi_squared(freedom::<D>(&fit), MOVES_Z)
+    })
+}
+
 /// Where a path is in the middle of the time that its track was seen.
 fn middle_of(fit: &Fit, sightings: &Sightings) -> Lanes {
     let (first, last) = sightings.span();

@@ -13,7 +13,10 @@ use crate::bundle::reduced::{Damping, Quadratic, ReducedSystem, Translations, We
 use crate::least_squares::{LeastSquaresError, LinearSolver};
 
 /// Only guards the factorisation: exact data leaves the scale, and what else is free, as null vectors.
-const DAMPING: Damping = Damping { point: 0.0, view: 1e-12 };
+const DAMPING: f64 = 1e-12;
+/// Where it fails it is raised by this factor, so many times.
+const RAISED: f64 = 100.0;
+const RAISES: usize = 4;
 /// Least noise scale of the weights, radians, and its multiple of the median error.
 const SCALE_FLOOR_RAD: f64 = 2e-4;
 const SCALE_OVER_MEDIAN: f64 = 2.0;
@@ -84,8 +87,19 @@ fn linear_step<const D: usize, W: Weighing<D>>(
 ) -> Result<(), LeastSquaresError> {
     let weighing = weighing(());
     let part = state.part.clone();
-    system.assemble(&part, &weighing, &Translations, &[], DAMPING);
-    let mut centers: Vec<Lanes> = system.solve()?.iter().map(Lanes::from_vector::<D>).collect();
+    let mut damping = Damping { point: 0.0, view: DAMPING };
+    let mut raises = 0;
+    let solved = loop {
+        system.assemble(&part, &weighing, &Translations, &[], damping);
+        match system.solve() {
+            Err(LeastSquaresError::Singular { .. }) if raises < RAISES => {
+                damping.view *= RAISED;
+                raises += 1;
+            }
+            ended => break ended?,
+        }
+    };
+    let mut centers: Vec<Lanes> = solved.iter().map(Lanes::from_vector::<D>).collect();
     let scale = normalise(&mut centers);
     let mut equations = CourseSystem::default();
     for j in 0..part.n_tracks() {

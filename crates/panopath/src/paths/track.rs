@@ -5,6 +5,7 @@
 //! the chord.
 
 use super::basis::Form;
+use super::frequency::has_frequency;
 use super::select::chi_squared;
 use crate::bundle::newton::{chord_model, huber_cost};
 use crate::bundle::noise::{HUBER_SIGMAS, OUTLIER_SIGMAS, median};
@@ -150,6 +151,9 @@ pub(super) fn fit<const D: usize>(sightings: &Sightings, form: &Form, sigma: f64
     let n = sightings.len();
     let (first, last) = sightings.span();
     let form = form.over(first, last);
+    if !has_frequency(&form) {
+        return None;
+    }
     let needed = (D * form.len()).div_ceil(D - 1);
     if n < needed {
         return None;
