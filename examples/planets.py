@@ -58,7 +58,8 @@ PLANETS = {
 def observe(noise_rad: float, *, n_views: int = N_VIEWS, seed: int = 0) -> tuple[pp.Tracks, Float]:
     """Directions of the Sun and the planets, x to the vernal equinox, z to the pole of the ecliptic; the true Earth."""
     erfa: Any = importlib.import_module("erfa")
-    days = np.linspace(0.0, YEARS * YEAR_D, n_views)
+    # nights come as they come: at equal steps, fast periods could not be told from slow ones
+    days = np.sort(np.random.default_rng(0).uniform(0.0, YEARS * YEAR_D, n_views))
     ecliptic = erfa.ecm06(2451545.0, 0.0)
     earth = erfa.epv00(FIRST_DAY, days)[0]["p"] @ ecliptic.T
     bodies = [np.zeros_like(earth)]
