@@ -37,6 +37,8 @@ _DESCRIPTOR_SCALE = 512.0
 _OF_DOUBLED = (1 << 8) | 255
 #: To blur so many pixels of a picture takes as long as to describe a feature.
 _BLURRED_PX = 400.0
+#: Pixels of the horizon below which patches are as fine as the panorama.
+_LEAST_AROUND = 896
 #: Rows of cells of equal solid angle over which features are spread.
 _CELL_ROWS = 14
 
@@ -175,7 +177,8 @@ def _whole(width: int, height: int) -> _Patch:
 
 @functools.lru_cache(maxsize=4)
 def _patches(width: int, density: float) -> tuple[_Patch, ...]:
-    around = max(round(density * width), 1)
+    # a small picture has nothing to lose
+    around = max(round(density * width), min(width, _LEAST_AROUND))
     return (_band(width, around), _cap(width, around, -1.0), _cap(width, around, 1.0))
 
 
