@@ -70,7 +70,7 @@ impl Default for FreedomOptions {
 pub enum FreedomKind {
     /// Parts that no observation ties to each other: each has a gauge of its own.
     Disconnected,
-    /// Everything may share a motion: a power of time ([`Freedom::order`]), a harmonic, or a spline.
+    /// Everything may share a motion: a power of time, a harmonic, or a spline.
     CommonMotion,
     /// Every position may be multiplied by a function of time about a point, which may move: `lambda(t)`.
     ScaleInTime,
