@@ -321,19 +321,19 @@ def video_motion(
     def damaged() -> None:
         counter["corrupt"] += 1
 
-    width = chosen.motion_width
+    follower, times, stamps = _Follower(chosen.motion_width), [], []
 
-    def small() -> Iterator[tuple[float | None, int | None, Gray]]:
+    def small() -> Iterator[tuple[float | None, int | None, _SmallFrame]]:
         for frame in _frames(path, damaged):
             if decoded is not None:
                 decoded.keep(frame)
-            yield frame.time, frame.pts, _gray(frame, width)
+            picture = _gray(frame, chosen.motion_width)
+            yield frame.time, frame.pts, _SmallFrame.of(picture, seeks_corners=follower.restarts_often)
 
-    follower, times, stamps = _Follower(width), [], []
-    for k, (time, stamp, picture) in enumerate(_ahead(small())):
+    for k, (time, stamp, seen) in enumerate(_ahead(small())):
         times.append(float(k) if time is None else float(time))
         stamps.append(stamp)
-        follower.see(picture)
+        follower.see(seen)
         if report is not None:
             report(k + 1)
     if not times:
@@ -347,6 +347,33 @@ def _ascending(stamps: Sequence[int | None]) -> Index | None:
     """Time stamps as an array, where all are there and ascend, so that each means one frame."""
     known = np.array([stamp for stamp in stamps if stamp is not None], dtype=np.int64)
     return known if len(known) == len(stamps) and bool((np.diff(known) > 0).all()) else None
+
+
+@dataclass(frozen=True, eq=False)
+class _SmallFrame:
+    """A frame on which points are followed, with what can be told of it before the one that came earlier is done."""
+
+    picture: Gray
+    sharpness: float
+    brightness: float
+    #: (N, 2) pixels; None where they were not sought yet.
+    corners: npt.NDArray[np.float32] | None
+
+    @classmethod
+    def of(cls, picture: Gray, *, seeks_corners: bool) -> _SmallFrame:
+        cv2 = opencv()
+        sharpness = float(cv2.meanStdDev(cv2.Laplacian(picture, cv2.CV_32F))[1].item() ** 2)
+        return cls(picture, sharpness, float(picture.mean()), _corners(picture) if seeks_corners else None)
+
+
+def _corners(picture: Gray) -> npt.NDArray[np.float32]:
+    """Corners worth following, away from the poles."""
+    height, width = picture.shape
+    mask = np.zeros_like(picture)
+    most = int(_MOST_ELEVATION_RAD / np.pi * height)
+    mask[height // 2 - most : height // 2 + most] = 255
+    points = opencv().goodFeaturesToTrack(picture, _POINTS, 0.003, width / 80, mask=mask, blockSize=5)
+    return np.empty((0, 2), np.float32) if points is None else points.reshape(-1, 2).astype(np.float32)
 
 
 class _Follower:
@@ -365,13 +392,15 @@ class _Follower:
         self._brightness: list[float] = []
         self._lost: list[bool] = []
         self._n_points: list[int] = []
+        #: Whether the last frame became a reference: then corners of those to come are worth seeking ahead of time.
+        self.restarts_often = True
 
-    def see(self, small: Gray) -> None:
+    def see(self, frame: _SmallFrame) -> None:
         """Take the next frame."""
-        cv2 = opencv()
+        small = frame.picture
         padded = np.concatenate((small[:, -_PAD:], small, small[:, :_PAD]), axis=1)
-        self._sharpness.append(float(cv2.meanStdDev(cv2.Laplacian(small, cv2.CV_32F))[1].item() ** 2))
-        self._brightness.append(float(small.mean()))
+        self._sharpness.append(frame.sharpness)
+        self._brightness.append(frame.brightness)
         if self._before is None:
             rotation, parallax, lost = np.eye(3), 0.0, False
         else:
@@ -381,10 +410,11 @@ class _Follower:
         self._lost.append(lost)
         self._before = padded
         few = len(self._points) < max(_FEWEST, _POINTS // 3)
-        if lost or few or parallax > _REFERENCE_RAD or len(self._rotations) == 1:
+        self.restarts_often = lost or few or parallax > _REFERENCE_RAD or len(self._rotations) == 1
+        if self.restarts_often:
             if parallax > _STILL_RAD / 2:
                 self._base_rad += parallax
-            self._restart(small)
+            self._restart(_corners(small) if frame.corners is None else frame.corners)
         self._n_points.append(len(self._points))
 
     def _follow(self, padded: Gray) -> tuple[Float, float, bool]:
@@ -414,16 +444,9 @@ class _Follower:
         self._points, self._began = self._points[good], self._began[good]
         return rotation, parallax, bool(np.median(off) > np.radians(20.0))
 
-    def _restart(self, small: Gray) -> None:
-        cv2 = opencv()
-        if self._rotations:
-            self._reference_from_first = self._rotations[-1]
-        height, width = small.shape
-        mask = np.zeros_like(small)
-        most = int(_MOST_ELEVATION_RAD / np.pi * height)
-        mask[height // 2 - most : height // 2 + most] = 255
-        points = cv2.goodFeaturesToTrack(small, _POINTS, 0.003, width / 80, mask=mask, blockSize=5)
-        self._points = np.empty((0, 2), np.float32) if points is None else points.reshape(-1, 2).astype(np.float32)
+    def _restart(self, corners: npt.NDArray[np.float32]) -> None:
+        self._reference_from_first = self._rotations[-1]
+        self._points = corners
         self._began = self._bearings()
 
     def _bearings(self) -> Float:
