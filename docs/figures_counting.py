@@ -10,9 +10,8 @@ from pathlib import Path
 
 import panopath as pp
 from panopath.counting import PathBasis, inequality_table, table_text
+from panopath.paper.generic_rank import extra_freedoms
 from panopath.report import Region, draw_forbidden_regions
-
-from docs.generic_rank import extra_freedoms
 
 IMAGES = Path(__file__).parent / "img"
 

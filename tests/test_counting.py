@@ -22,10 +22,10 @@ from panopath.counting import (
     smallest,
     table_text,
 )
+from panopath.paper.generic_rank import extra_freedoms
 from panopath.report import Region, draw_forbidden_regions
 
 from docs import figures_counting as figures
-from docs.generic_rank import extra_freedoms
 
 PAGE = Path(__file__).parent.parent / "docs" / "method" / "counting.md"
 

@@ -8,6 +8,7 @@ from panopath.cli.demo import demo
 from panopath.cli.demo_bearings import demo_bearings
 from panopath.cli.evaluate import evaluate_command
 from panopath.cli.map import map_command
+from panopath.cli.paper import paper_command
 from panopath.cli.reconstruct import reconstruct_command
 from panopath.cli.simulate import simulate_command
 from panopath.cli.solve import solve
@@ -26,6 +27,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "demo-bearings": demo_bearings,
     "view": view_command,
+    "paper": paper_command,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name, epilog=EXIT_HELP)(_command)

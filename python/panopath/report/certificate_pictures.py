@@ -14,7 +14,7 @@ import numpy.typing as npt
 from panopath.certificate import Cause, Certificate, Mode
 from panopath.model import Float, Scene
 from panopath.movers import at_rest
-from panopath.report.pictures import _axes, _axis_names, _dot_size, _matplotlib, _sample
+from panopath.report.pictures import _axes, _axis_names, _dot_size, _sample, matplotlib_figure
 
 Index = npt.NDArray[np.intp]
 
@@ -92,7 +92,7 @@ def draw_certificate(scene: Scene, certificate: Certificate, folder: str | PathL
     MissingExtraError
         Without matplotlib.
     """
-    figure_class = _matplotlib()
+    figure_class = matplotlib_figure()
     # the certificate is of what rests
     drawn = _prepared(at_rest(scene), certificate)
     planes = [("from above", 0, 1)] + ([("from the side", 0, 2)] if scene.d == 3 else [])

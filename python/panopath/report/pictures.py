@@ -67,7 +67,7 @@ def draw_scene(
     MissingExtraError
         Without matplotlib.
     """
-    figure_class = _matplotlib()
+    figure_class = matplotlib_figure()
     true_centers = np.full_like(scene.centers, np.nan) if truth is None else np.array(truth, dtype=np.float64)
     parts = _parts(scene, true_centers)
     written = []
@@ -79,7 +79,7 @@ def draw_scene(
     return written
 
 
-def _matplotlib() -> Any:
+def matplotlib_figure() -> Any:
     """Find the Figure class: without pyplot there is no window, no global state and no backend to choose."""
     try:
         importlib.import_module("matplotlib.backends.backend_agg")

@@ -27,7 +27,7 @@ from panopath.counting import (
 )
 from panopath.errors import InputError
 from panopath.model import Float
-from panopath.report.pictures import _matplotlib
+from panopath.report.pictures import matplotlib_figure
 
 #: Panels side by side.
 _COLUMNS = 4
@@ -86,27 +86,37 @@ def draw_forbidden_regions(
     MissingExtraError
         Without matplotlib.
     """
-    figure_class = _matplotlib()
+    figure_class = matplotlib_figure()
     panels = [Region.of(model) for model in CameraModel] if regions is None else list(regions)
     if not panels:
         raise InputError("regions is empty, expected at least one")
     if largest not in range(2, _LARGEST + 1):
         raise InputError(f"largest is {largest!r}, expected a whole number from 2 to {_LARGEST}")
-    figure = _draw(figure_class, panels, largest)
+    figure = figure_class(figsize=region_figure_size(panels), layout="constrained")
+    draw_region_panels(figure, panels, largest)
     written = Path(path)
     metadata = {"Software": None} if written.suffix == ".png" else None
     figure.savefig(written, dpi=130, metadata=metadata)
     return written
 
 
-def _draw(figure_class: Any, regions: list[Region], largest: int) -> Any:
-    columns = min(_COLUMNS, len(regions))
-    rows = math.ceil(len(regions) / columns)
+def region_figure_size(regions: Sequence[Region]) -> tuple[float, float]:
+    """Width and height in inches that the panels need."""
+    columns, rows = _columns_and_rows(regions)
     title_lines = max(region.title.count("\n") for region in regions) + 3
+    below = 0.3 if columns * rows > len(regions) else 0.6 + 0.38 * math.ceil(5 / min(columns, 3))
+    return 2.9 * columns + 1.0, (2.75 + 0.19 * title_lines) * rows + below
+
+
+def _columns_and_rows(regions: Sequence[Region]) -> tuple[int, int]:
+    columns = min(_COLUMNS, len(regions))
+    return columns, math.ceil(len(regions) / columns)
+
+
+def draw_region_panels(figure: Any, regions: Sequence[Region], largest: int) -> None:
+    """Draw the panels on an empty figure with constrained layout."""
+    columns, rows = _columns_and_rows(regions)
     has_room = columns * rows > len(regions)
-    below = 0.3 if has_room else 0.6 + 0.38 * math.ceil(5 / min(columns, 3))
-    size = 2.9 * columns + 1.0, (2.75 + 0.19 * title_lines) * rows + below
-    figure = figure_class(figsize=size, layout="constrained")
     figure.get_layout_engine().set(h_pad=0.05, w_pad=0.06)
     grid = figure.subplots(rows, columns, squeeze=False)
     colours = _colour_map()
@@ -125,7 +135,6 @@ def _draw(figure_class: Any, regions: list[Region], largest: int) -> Any:
         empty[0].legend(handles=handles, loc="center left", fontsize=9, frameon=False, labelspacing=0.9)
     else:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, 3), fontsize=9, frameon=False)
-    return figure
 
 
 def _draw_region(panel: Any, region: Region, largest: int, colours: Any) -> None:

@@ -17,8 +17,8 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import panopath as pp
-from panopath.counting import PathBasis, path_vectors
+
+from panopath.counting import CameraModel, PathBasis, path_vectors
 
 Int64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
@@ -28,7 +28,7 @@ PRIME = 2**29 - 3
 
 
 def extra_freedoms(  # noqa: PLR0917
-    model: pp.CameraModel,
+    model: CameraModel,
     n: int,
     m: int,
     k: int = 0,
@@ -41,7 +41,7 @@ def extra_freedoms(  # noqa: PLR0917
 
     ``seen`` is (m, n), by default everything. The first ``n_still`` points are at rest, which is not known.
     """
-    views, free_of_image = _VIEWS[model], model is pp.CameraModel.PROJECTIVE_SPACE
+    views, free_of_image = _VIEWS[model], model is CameraModel.PROJECTIVE_SPACE
     rng = np.random.default_rng(seed)
     vectors = path_vectors(k, basis)
     d, f, _, h = model.counts
@@ -147,56 +147,56 @@ _AXES = np.array(
 _PLANE = np.array([[[0, -1], [1, 0]]])
 
 
-def _oriented(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
+def _oriented(rng: np.random.Generator, model: CameraModel) -> _Central:
     return _Central(
         _random(rng, model.counts.d), np.zeros((0, model.counts.d, model.counts.d), np.int64), np.zeros(0, np.int64)
     )
 
 
-def _turning(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
+def _turning(rng: np.random.Generator, model: CameraModel) -> _Central:
     turns = _PLANE if model.counts.d == 2 else _AXES
     return _Central(_random(rng, model.counts.d), turns, np.zeros(0, np.int64))
 
 
-def _upright(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
+def _upright(rng: np.random.Generator, model: CameraModel) -> _Central:
     return _Central(_random(rng, model.counts.d), _AXES[2:], np.zeros(0, np.int64))
 
 
-def _zooming(rng: np.random.Generator, model: pp.CameraModel) -> _Central:
+def _zooming(rng: np.random.Generator, model: CameraModel) -> _Central:
     return _Central(_random(rng, model.counts.d), _AXES, _random(rng, model.counts.d))
 
 
-def _orthographic(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
+def _orthographic(rng: np.random.Generator, model: CameraModel) -> _Flat:
     d = model.counts.d
     turns = _PLANE if d == 2 else _AXES
     projection = _rotation(rng, d)[: d - 1]
     changes = projection @ turns % PRIME
-    if model is pp.CameraModel.SCALED_ORTHOGRAPHIC_SPACE:
+    if model is CameraModel.SCALED_ORTHOGRAPHIC_SPACE:
         changes = np.concatenate([changes, projection[None]])
     return _Flat(projection, changes)
 
 
-def _affine(rng: np.random.Generator, model: pp.CameraModel) -> _Flat:
+def _affine(rng: np.random.Generator, model: CameraModel) -> _Flat:
     changes = np.eye(2 * model.counts.d, dtype=np.int64).reshape(-1, 2, model.counts.d)
     return _Flat(_random(rng, 2, model.counts.d), changes)
 
 
-def _uncalibrated(rng: np.random.Generator, _: pp.CameraModel) -> _Projective:
+def _uncalibrated(rng: np.random.Generator, _: CameraModel) -> _Projective:
     return _Projective(_random(rng, 3, 4))
 
 
-_VIEWS: dict[pp.CameraModel, Callable[[np.random.Generator, pp.CameraModel], _View]] = {
-    pp.CameraModel.ORIENTED_PLANE: _oriented,
-    pp.CameraModel.ORIENTED_SPACE: _oriented,
-    pp.CameraModel.NON_ORIENTED_PLANE: _turning,
-    pp.CameraModel.NON_ORIENTED_SPACE: _turning,
-    pp.CameraModel.GRAVITY_SPACE: _upright,
-    pp.CameraModel.ORTHOGRAPHIC_PLANE: _orthographic,
-    pp.CameraModel.ORTHOGRAPHIC_SPACE: _orthographic,
-    pp.CameraModel.SCALED_ORTHOGRAPHIC_SPACE: _orthographic,
-    pp.CameraModel.AFFINE_SPACE: _affine,
-    pp.CameraModel.SHARED_FOCAL_SPACE: _zooming,
-    pp.CameraModel.PROJECTIVE_SPACE: _uncalibrated,
+_VIEWS: dict[CameraModel, Callable[[np.random.Generator, CameraModel], _View]] = {
+    CameraModel.ORIENTED_PLANE: _oriented,
+    CameraModel.ORIENTED_SPACE: _oriented,
+    CameraModel.NON_ORIENTED_PLANE: _turning,
+    CameraModel.NON_ORIENTED_SPACE: _turning,
+    CameraModel.GRAVITY_SPACE: _upright,
+    CameraModel.ORTHOGRAPHIC_PLANE: _orthographic,
+    CameraModel.ORTHOGRAPHIC_SPACE: _orthographic,
+    CameraModel.SCALED_ORTHOGRAPHIC_SPACE: _orthographic,
+    CameraModel.AFFINE_SPACE: _affine,
+    CameraModel.SHARED_FOCAL_SPACE: _zooming,
+    CameraModel.PROJECTIVE_SPACE: _uncalibrated,
 }
 
 

@@ -1,0 +1,8 @@
+"""The experiments by name, in the order of the paper."""
+
+from __future__ import annotations
+
+from panopath.paper.counting import COUNTING
+from panopath.paper.experiment import Experiment
+
+EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING,)}
