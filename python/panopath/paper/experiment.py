@@ -70,6 +70,12 @@ class Table:
 
     columns: Mapping[str, Column]
 
+    @classmethod
+    def of(cls, names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+        """Make a table of rows; without rows the columns are empty."""
+        columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+        return cls(dict(zip(names, columns, strict=True)))
+
     def __post_init__(self) -> None:
         lengths = {name: len(column) for name, column in self.columns.items()}
         if len(set(lengths.values())) > 1:

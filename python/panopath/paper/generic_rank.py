@@ -11,14 +11,14 @@ Orthographic views have ``u = M x + t`` in the picture, with M the first rows of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from panopath.counting import CameraModel, PathBasis, path_vectors
+from panopath.counting import CameraCounts, CameraModel, PathBasis, path_vectors
 
 Int64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
@@ -41,30 +41,55 @@ def extra_freedoms(  # noqa: PLR0917
 
     ``seen`` is (m, n), by default everything. The first ``n_still`` points are at rest, which is not known.
     """
-    views, free_of_image = _VIEWS[model], model is CameraModel.PROJECTIVE_SPACE
+    free_of_image = model is CameraModel.PROJECTIVE_SPACE
     rng = np.random.default_rng(seed)
     vectors = path_vectors(k, basis)
-    d, f, _, h = model.counts
-    paths = _random(rng, n, vectors, d)
+    paths = _random(rng, n, vectors, model.counts.d)
     paths[:n_still, 1:] = 0
     functions = _functions(rng, m, vectors, basis)
     # a camera matrix has one unknown more than a camera, its length
-    f = f + int(free_of_image)
+    counts = model.counts._replace(f=model.counts.f + int(free_of_image))
+    places = (functions @ paths.transpose(1, 0, 2).reshape(vectors, -1) % PRIME).reshape(m, n, -1)
+    views = [_VIEWS[model](rng, model) for _ in range(m)]
+    sees = np.ones((m, n), dtype=np.bool_) if seen is None else seen
+    nullity = _nullity(views, counts, functions, places, sees)
+    return nullity - (m if free_of_image else 0) - model.gauge(k, basis)
+
+
+def extra_freedoms_of_pictures(n: int, m: int, *, scaled: bool, tilted: bool, seed: int = 1) -> int:
+    """Freedoms beyond the gauge of n points and m orthographic pictures in which one direction is known.
+
+    The affine limit of cameras that know the vertical (section 7, second remark). Where they know all of it, a picture
+    has a turn about the vertical and two offsets; ``tilted``: only the direction in the picture of the projected
+    vertical is known, and the tilt is unknown too; ``scaled``: each picture has a scale of its own. The gauge has three
+    shifts, the turn about the vertical, and the scale of space where pictures are scaled.
+    """
+    rng = np.random.default_rng(seed)
+    counts = CameraCounts(3, 3 + int(tilted) + int(scaled), 4 + int(scaled), 0)
+    functions, points = np.ones((m, 1), dtype=np.int64), _random(rng, n, 3)
+    views = [_upright_picture(rng, scaled, tilted) for _ in range(m)]
+    places = np.broadcast_to(points, (m, n, 3))
+    return _nullity(views, counts, functions, places, np.ones((m, n), dtype=np.bool_)) - counts.g
+
+
+def _nullity(views: Sequence[_View], counts: CameraCounts, functions: Int64, places: Int64, seen: Bool) -> int:
+    """Unknowns less rank of all derivatives; ``places`` (m, n, d) are those of the points at the time of each view."""
+    d, f, _, h = counts
+    m, n = seen.shape
+    vectors = len(functions[0])
     n_of_points = d * vectors * n
-    unknowns = n_of_points + f * m + h
+    unknowns: int = n_of_points + f * m + h
     rows = [np.zeros((0, unknowns), dtype=np.int64)]
-    for i in range(m):
-        view = views(rng, model)
-        for j in range(n) if seen is None else np.flatnonzero(seen[i]).tolist():
-            by_point, by_view, by_all = view.derivative(functions[i] @ paths[j] % PRIME)
+    for i, view in enumerate(views):
+        for j in np.flatnonzero(seen[i]).tolist():
+            by_point, by_view, by_all = view.derivative(places[i, j])
             row = np.zeros((d - 1, unknowns), dtype=np.int64)
             start = d * vectors * j
             row[:, start : start + d * vectors] = np.kron(functions[i], by_point) % PRIME
             row[:, n_of_points + f * i : n_of_points + f * (i + 1)] = by_view
             row[:, n_of_points + f * m :] = by_all
             rows.append(row)
-    nullity = unknowns - rank(np.vstack(rows)) - (m if free_of_image else 0)
-    return nullity - model.gauge(k, basis)
+    return unknowns - rank(np.vstack(rows))
 
 
 def rank(matrix: Int64) -> int:
@@ -176,6 +201,19 @@ def _orthographic(rng: np.random.Generator, model: CameraModel) -> _Flat:
     return _Flat(projection, changes)
 
 
+def _upright_picture(rng: np.random.Generator, scaled: bool, tilted: bool) -> _Flat:
+    """Draw a picture whose first axis is horizontal, so that the vertical is seen along the second one."""
+    w, x, y, z = _random(rng, 4).tolist()
+    turn, tilt = _of_quaternion(w, 0, 0, z), _of_quaternion(y, x, 0, 0)
+    rows = tilt @ turn % PRIME
+    changes = [rows[:2] @ _AXES[2] % PRIME]
+    if tilted:
+        changes.append(np.stack([np.zeros(3, dtype=np.int64), rows[2]]))
+    if scaled:
+        changes.append(rows[:2])
+    return _Flat(rows[:2], np.stack(changes))
+
+
 def _affine(rng: np.random.Generator, model: CameraModel) -> _Flat:
     changes = np.eye(2 * model.counts.d, dtype=np.int64).reshape(-1, 2, model.counts.d)
     return _Flat(_random(rng, 2, model.counts.d), changes)
@@ -234,7 +272,10 @@ def _rotation(rng: np.random.Generator, d: int) -> Int64:
         a, b = _random(rng, 2).tolist()
         rows = [[a * a - b * b, -2 * a * b], [2 * a * b, a * a - b * b]]
         return np.array([[entry % PRIME for entry in row] for row in rows])
-    w, x, y, z = _random(rng, 4).tolist()
+    return _of_quaternion(*_random(rng, 4).tolist())
+
+
+def _of_quaternion(w: int, x: int, y: int, z: int) -> Int64:
     rows = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],

@@ -125,7 +125,8 @@ def draw_region_panels(figure: Any, regions: Sequence[Region], largest: int) -> 
     empty = list(grid.flat)[len(regions) :]
     for panel in empty:
         panel.set_axis_off()
-    for panel in grid[-1]:
+    # the lowest panel of each column
+    for panel in list(grid.flat)[: len(regions)][-columns:]:
         panel.set_xlabel("points n")
     for panel in grid[:, 0]:
         panel.set_ylabel("views m")
