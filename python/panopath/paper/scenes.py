@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from panopath.certificate import Certificate
 from panopath.formats.structure import known_scene
 from panopath.model import Bool, Float, Scene, Tracks
 from panopath.steps.certificate import CertifyOptions, certify
@@ -62,6 +63,23 @@ def dense_freedoms(tracks: Tracks) -> int:
     each = np.arange(len(tracks))
     rows[each, :, m + tracks.track], rows[each, :, tracks.view] = across, -across
     return nullity(rows.reshape(len(tracks) * d, -1)) - (d + 1)
+
+
+def null_vector(certificate: Certificate) -> tuple[Float, Float]:
+    """Displacements of views (m, d) and points (n, d) that keep all bearings, of an undetermined scene.
+
+    The first null mode; else the first member that slides by itself, which is no mode of the rest.
+    """
+    for mode in certificate.modes:
+        if mode.is_null:
+            return mode.view_displacement, mode.track_displacement
+    views, points = np.zeros_like(certificate.view_line), np.zeros_like(certificate.track_line)
+    for line, moved in ((certificate.track_line, points), (certificate.view_line, views)):
+        sliding = np.flatnonzero(np.isfinite(line).all(axis=1))
+        if len(sliding):
+            moved[sliding[0]] = line[sliding[0]]
+            break
+    return views, points
 
 
 def nullity(matrix: Float) -> int:
