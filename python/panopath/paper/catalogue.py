@@ -5,5 +5,6 @@ from __future__ import annotations
 from panopath.paper.counting import COUNTING
 from panopath.paper.experiment import Experiment
 from panopath.paper.theorems import THEOREMS
+from panopath.paper.visibility import VISIBILITY
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS)}
+EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS, VISIBILITY)}
