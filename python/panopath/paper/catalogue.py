@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from panopath.paper.counting import COUNTING
 from panopath.paper.experiment import Experiment
+from panopath.paper.moving import MOVING
 from panopath.paper.theorems import THEOREMS
 from panopath.paper.visibility import VISIBILITY
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS, VISIBILITY)}
+EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS, VISIBILITY, MOVING)}

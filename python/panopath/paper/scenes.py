@@ -84,7 +84,8 @@ def null_vector(certificate: Certificate) -> tuple[Float, Float]:
 
 def nullity(matrix: Float) -> int:
     """Columns less rank, by singular values."""
-    values = np.linalg.svd(matrix, compute_uv=False)
+    # the triangular factor has the same singular values, and far fewer rows
+    values = np.linalg.svd(np.linalg.qr(matrix, mode="r"), compute_uv=False)
     return int(matrix.shape[1] - (values > _ZERO * values[0]).sum())
 
 

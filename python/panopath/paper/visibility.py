@@ -389,8 +389,8 @@ def _span_statements(spans: Table) -> list[Statement]:
             "5, remark 4",
             "The same with errors.",
             f"With {noise * 180 / np.pi:.3f} degrees of noise the whole walk solved at once has a mean camera error of "
-            f"{1000 * whole:.1f} mm. Joined over views and points in common: {worse} as much. Scale errors of the spans "
-            "add up, and points that leave a span are lost to it.",
+            f"{1000 * whole:.1f} mm. Joined over views and points in common: {worse} as much. Scale errors of "
+            "the spans add up, and points that leave a span are lost to it.",
             Verdict.IN_PART,
         ),
     ]
