@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from panopath.paper.counting import COUNTING
 from panopath.paper.experiment import Experiment
+from panopath.paper.mean_motion import MEAN_MOTION
 from panopath.paper.moving import MOVING
 from panopath.paper.theorems import THEOREMS
 from panopath.paper.visibility import VISIBILITY
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS, VISIBILITY, MOVING)}
+EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING, THEOREMS, VISIBILITY, MOVING, MEAN_MOTION)}
