@@ -83,29 +83,38 @@ class MovingScene:
         forms, tracks = self.models if models is None else models, self.tracks
         d, m = tracks.d, tracks.n_views
         starts = np.cumsum([0, *(model.n_functions for model in forms)])
-        across = np.eye(d) - tracks.bearing[:, :, None] * tracks.bearing[:, None, :]
-        rows = np.zeros((len(tracks), d, m + int(starts[-1]), d))
+        across = _tangents(tracks.bearing)
+        rows = np.zeros((len(tracks), d - 1, m + int(starts[-1]), d))
         rows[np.arange(len(tracks)), :, tracks.view] = -across
         for j, model in enumerate(forms):
             mine = np.flatnonzero(tracks.track == j)
             values = path_functions(model, self.time_s[tracks.view[mine]])
             for k in range(model.n_functions):
                 rows[mine, :, m + starts[j] + k] = values[:, k, None, None] * across[mine]
-        return rows.reshape(len(tracks) * d, -1)
+        return rows.reshape(len(tracks) * (d - 1), -1)
 
     def dense_nullity(self) -> int:
         """Freedoms of the equations, gauge included, by singular values."""
         return nullity(self.equations())
 
     def linear_centers(self) -> Float:
-        """Centres (m, d) by the paper's linear least squares: the least singular vector, shifts taken out."""
+        """Centres (m, d) by the paper's normal equations ``A^T A x = 0``, shifts taken out: the weakest eigenvector."""
         matrix, (m, d) = self.equations(), self.centers.shape
+        normal = matrix.T @ matrix
         # with the centroid of the views at zero the scale alone is left
-        fixed = np.zeros((d, matrix.shape[1]))
-        fixed[:, : m * d] = np.tile(np.eye(d), m)
-        found = np.linalg.svd(np.linalg.qr(np.vstack((matrix, fixed)), mode="r"))[2][-1][: m * d].reshape(m, d)
+        normal[: m * d, : m * d] += np.kron(np.ones((m, m)), np.eye(d))
+        found = np.linalg.eigh(normal)[1][: m * d, 0].reshape(m, d)
         truth = self.centers - self.centers.mean(axis=0)
         return np.asarray(found if (found * truth).sum() > 0.0 else -found)
+
+
+def _tangents(bearing: Float) -> Float:
+    """Orthonormal rows (N, d - 1, d) across unit vectors (N, d): Householder's reflection onto the last axis."""
+    d = bearing.shape[1]
+    sign = np.where(bearing[:, -1:] < 0.0, -1.0, 1.0)
+    mirror = bearing + sign * np.eye(d)[-1]
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    return np.asarray((np.eye(d) - 2.0 * mirror[:, :, None] * mirror[:, None, :])[:, :-1])
 
 
 def draw_moving(
