@@ -29,7 +29,7 @@ from panopath.paper.experiment import Experiment, Outcome, Picture, Progress, Se
 from panopath.paper.scenes import disturbed, rays, with_bearings
 from panopath.steps.positions import solve_positions
 
-_TRIALS = 20
+_TRIALS = 40
 _N_VIEWS, _N_POINTS = 20, 400
 #: Error of a direction along each tangent, of the runs in which it is equal for all: a pixel of the panorama.
 _SIGMA_RAD = 2.0 * np.pi / 6000.0

@@ -355,8 +355,8 @@ def _noise_statement(table: Table) -> Statement:
         "7",
         "The mean over all points averages errors of single points out.",
         f"{_N_POINTS} points, {_RATE_HZ} Hz, all round, robust: error of the orientation (degrees) {told} degrees of "
-        f"noise. The flow of the translation is {floor / np.degrees(small):.0f} times the smallest noise, and rules "
-        "until noise is large.",
+        f"noise. {floor:.2f} degrees are the flow of the translation, without any noise; errors of bearings count "
+        "where they are large.",
         Verdict.AGREES if _mean(table, (large, robust)) < 3.0 * np.degrees(large) else Verdict.IN_PART,
     )
 
