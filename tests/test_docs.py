@@ -24,35 +24,40 @@ RUNNING = (
     "docs/tutorial-first-solve.md",
     "docs/tutorial-unknown-orientation.md",
     "docs/tutorial-certificate.md",
+    "docs/tutorial-video.md",
+    "docs/tutorial-coast.md",
+    "docs/tutorial-robot.md",
+    "docs/tutorial-colmap.md",
     "docs/paper.md",
     "docs/moving.md",
 )
 
 
-def fenced(page: str, language: str) -> list[tuple[int, str]]:
-    """Blocks of a page in one language, each with the line it begins at."""
+def fenced(page: str) -> list[tuple[str, int, str]]:
+    """Blocks of a page: language, the line it begins at, and text."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return [(text.count("\n", 0, match.start(1)), match.group(1)) for match in found]
+    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [(match.group(1), text.count("\n", 0, match.start(2)), match.group(2)) for match in found]
 
 
 @pytest.mark.parametrize("page", RUNNING)
 def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    python, console = fenced(page, "python"), fenced(page, "console")
-    assert python
+    blocks = fenced(page)
+    assert any(language == "python" for language, _, _ in blocks)
     namespace: dict[str, object] = {}
-    for line, block in python:
-        # as many empty lines as stand before it: a failure then names the line of the page
-        exec(compile("\n" * line + block, page, "exec"), namespace)
     environment = os.environ | {"COLUMNS": "120"}
-    for _, block in console:
-        for command in re.findall(r"^\$ (.*)$", block, re.MULTILINE):
-            words = shlex.split(command)
-            assert words[0] == "panopath"
-            run = [sys.executable, "-m", "panopath.cli", *words[1:]]
-            done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
+    for language, line, block in blocks:
+        if language == "python":
+            # as many empty lines as stand before it: a failure then names the line of the page
+            exec(compile("\n" * line + block, page, "exec"), namespace)
+        elif language == "console":
+            for command in re.findall(r"^\$ (.*)$", block, re.MULTILINE):
+                words = shlex.split(command)
+                assert words[0] == "panopath"
+                run = [sys.executable, "-m", "panopath.cli", *words[1:]]
+                done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+                assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
