@@ -82,10 +82,18 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python -m docs.figures_view
 	$(BIN)/python -m docs.figures_reconstruct
 	$(BIN)/python -m docs.figures_moving
+	$(BIN)/python -m docs.figures_paper
+	$(BIN)/python examples/coast_survey.py docs/img/tutorial/coast.png
 
+# On Linux zig links against an older C library than the one of this machine, so that the wheel runs on more of them.
 wheel: $(STAMPS)/venv  ## an optimised wheel in dist, for Python 3.11 and newer on this platform
 	rm -f dist/panopath-*.whl
+ifeq ($(shell uname -s),Linux)
+	$(BIN)/python -m pip install --quiet ziglang
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --compatibility manylinux_2_28 --out dist
+else
 	$(BIN)/maturin build --release --locked --out dist
+endif
 
 sdist: $(STAMPS)/venv  ## the sources in dist, as an archive that pip can build
 	rm -f dist/panopath-*.tar.gz
