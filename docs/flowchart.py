@@ -11,6 +11,7 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 ROW_PX, GAP_PX, LINE_PX, LETTER_PX, PAD_PX = 88.0, 14.0, 15.0, 6.6, 9.0
 SWEEPS = 12
@@ -95,7 +96,7 @@ def rows_of(chart: Chart) -> Rows:
         ways[edge] = [edge.tail, *between, edge.head]
     neighbours: dict[str, list[str]] = {name: [] for row in rows for name in row}
     for way in ways.values():
-        for one, other in zip(way, way[1:], strict=False):
+        for one, other in pairwise(way):
             neighbours[one].append(other)
             neighbours[other].append(one)
     return Rows(rows, ways, neighbours)
@@ -116,7 +117,7 @@ def places(chart: Chart, laid: Rows) -> dict[str, float]:
     for sweep in range(SWEEPS):
         for row in laid.rows if sweep % 2 == 0 else reversed(laid.rows):
             wanted = {n: sum(x[m] for m in laid.neighbours[n]) / max(1, len(laid.neighbours[n])) for n in row}
-            row.sort(key=lambda name: wanted[name])  # noqa: B023 (used at once)
+            row.sort(key=lambda name: wanted[name])
             spread(chart, row, wanted, x)
     least = min(x[name] - width(chart, name) / 2 for name in x)
     return {name: value - least + PAD_PX for name, value in x.items()}
@@ -124,7 +125,7 @@ def places(chart: Chart, laid: Rows) -> dict[str, float]:
 
 def spread(chart: Chart, row: list[str], wanted: dict[str, float], x: dict[str, float]) -> None:
     """Put a row where it is wanted, as near as boxes that do not overlap allow (neighbours that would are joined)."""
-    steps = [0.0] + [(width(chart, a) + width(chart, b)) / 2 + GAP_PX for a, b in zip(row, row[1:], strict=False)]
+    steps = [0.0] + [(width(chart, a) + width(chart, b)) / 2 + GAP_PX for a, b in pairwise(row)]
     at = [sum(steps[: i + 1]) for i in range(len(row))]  # packed as tightly as they go
     groups: list[list[int]] = []
     for i in range(len(row)):
@@ -165,19 +166,19 @@ def half_height(chart: Chart, name: str) -> float:
 
 
 def arrow(chart: Chart, edge: Edge, way: list[tuple[float, float]]) -> str:
-    """Draw an arrow along its places, and the text in its middle."""
+    """Draw an arrow along its places, and its text near where it first arrives, apart from its neighbours'."""
     way = [*way]
     way[0] = (way[0][0], way[0][1] + half_height(chart, edge.tail))
     way[-1] = (way[-1][0], way[-1][1] - half_height(chart, edge.head) - 2)
     path = f"M{way[0][0]:.1f},{way[0][1]:.1f}"
-    for (x0, y0), (x1, y1) in zip(way, way[1:], strict=False):
+    for (x0, y0), (x1, y1) in pairwise(way):
         bend = (y1 - y0) / 2
         path += f" C{x0:.1f},{y0 + bend:.1f} {x1:.1f},{y1 - bend:.1f} {x1:.1f},{y1:.1f}"
     drawn = f'<path d="{path}" fill="none" stroke="currentColor" opacity="0.55" marker-end="url(#tip)"/>'
     if edge.text:
-        (x0, y0), (x1, y1) = way[0], way[1]
+        (_, y0), (x1, y1) = way[0], way[1]
         drawn += (
-            f'<text x="{(x0 + x1) / 2:.1f}" y="{(y0 + y1) / 2 + 4:.1f}" class="on-arrow" text-anchor="middle">'
+            f'<text x="{x1:.1f}" y="{y0 + 0.6 * (y1 - y0) + 4:.1f}" class="on-arrow" text-anchor="middle">'
             f"{html.escape(edge.text)}</text>"
         )
     return drawn
@@ -193,6 +194,4 @@ def drawn_box(chart: Chart, name: str, x: float, y: float) -> str:
         f"{html.escape(html.unescape(line.strip()))}</text>"
         for i, line in enumerate(chart.labels[name])
     )
-    return (
-        f'<rect x="{x - wide / 2:.1f}" y="{y - half:.1f}" width="{wide:.1f}" height="{2 * half:.1f}" rx="5"/>{text}'
-    )
+    return f'<rect x="{x - wide / 2:.1f}" y="{y - half:.1f}" width="{wide:.1f}" height="{2 * half:.1f}" rx="5"/>{text}'

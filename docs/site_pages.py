@@ -17,7 +17,7 @@ import posixpath
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing
@@ -25,7 +25,8 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
-from sphinx.ext.napoleon import Config, NumpyDocstring
+from sphinx.ext.napoleon import Config
+from sphinx.ext.napoleon.docstring import NumpyDocstring
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
@@ -38,14 +39,14 @@ MORE = "More"
 CHAPTERS = ("docs/method", "docs/reference")
 
 
-def first_column_links(text: str, page: str) -> list[str]:
-    """Names of the pages that the first column of a page's tables links to, in order."""
+def first_column_links(text: str, page: str) -> dict[str, str]:
+    """Pages that the first column of a page's tables links to, in order, with the words of each link."""
     cells = [line.split(" | ")[0] for line in text.splitlines() if line.startswith("| [")]
-    targets = [target for cell in cells for target in re.findall(r"\]\(([^)#\s]+)\.md\)", cell)]
-    return list(dict.fromkeys(posixpath.normpath(posixpath.join(posixpath.dirname(page), t)) for t in targets))
+    links = [link for cell in cells for link in re.findall(r"\[([^\]]+)\]\(([^)#\s]+)\.md\)", cell)]
+    return {posixpath.normpath(posixpath.join(posixpath.dirname(page), target)): title for title, target in links}
 
 
-def navigation(home: str, found: Iterable[str]) -> dict[str, list[str]]:
+def navigation(home: str, found: Iterable[str]) -> dict[str, dict[str, str]]:
     """Pages below each heading of the navigation.
 
     Parameters
@@ -57,10 +58,10 @@ def navigation(home: str, found: Iterable[str]) -> dict[str, list[str]]:
 
     Returns
     -------
-    dict of str to list of str
-        Names of pages by heading, those of chapters left to their chapter.
+    dict of str to dict of str to str
+        By heading: names of pages with their titles (empty: the page's own), those of chapters left to their chapter.
     """
-    tree: dict[str, list[str]] = {}
+    tree: dict[str, dict[str, str]] = {}
     for section in re.split(r"^## ", home, flags=re.MULTILINE)[1:]:
         pages = first_column_links(section, HOME)
         if pages:
@@ -70,20 +71,21 @@ def navigation(home: str, found: Iterable[str]) -> dict[str, list[str]]:
         if page.startswith(tuple(f"{chapter}/" for chapter in CHAPTERS)):
             continue
         heading = TUTORIALS if page.startswith("docs/tutorial-") else MORE
-        tree.setdefault(heading, []).append(page)
+        tree.setdefault(heading, {})[page] = ""
     return tree
 
 
-def chapter(text: str, page: str, found: Iterable[str]) -> list[str]:
-    """Pages of a chapter: in the order of its tables, then those that it does not name."""
-    named = [target for target in first_column_links(text, page) if target.startswith(f"{page}/")]
-    return named + sorted({one for one in found if one.startswith(f"{page}/")} - set(named))
+def chapter(text: str, page: str, found: Iterable[str]) -> dict[str, str]:
+    """Pages of a chapter with their titles: in the order of its tables, then those that it does not name."""
+    named = {one: title for one, title in first_column_links(text, page).items() if one.startswith(f"{page}/")}
+    return named | dict.fromkeys(sorted({one for one in found if one.startswith(f"{page}/")} - set(named)), "")
 
 
-def toctree(pages: Iterable[str], caption: str | None = None) -> str:
-    """A list of pages for the navigation, as Markdown that is read and not shown."""
+def toctree(pages: dict[str, str], caption: str | None = None) -> str:
+    """Write pages with their titles as a list for the navigation, which is read and not shown."""
     head = ["```{toctree}", ":hidden:", *([f":caption: {caption}"] if caption else [])]
-    return "\n" + "\n".join([*head, "", *(f"/{page}" for page in pages), "```"]) + "\n"
+    entries = [f"{title} </{page}>" if title else f"/{page}" for page, title in pages.items()]
+    return "\n" + "\n".join([*head, "", *entries, "```"]) + "\n"
 
 
 def add_navigation(app: Sphinx, page: str, content: list[str]) -> None:
@@ -142,10 +144,16 @@ def options(member: object) -> list[str]:
 class ArrayOf:
     """Stands for ``numpy.typing.NDArray`` while pages are made: an array type is the name of what it holds."""
 
-    NAMES: ClassVar = {np.float64: "Float", np.int32: "Int", np.int64: "Int64", np.intp: "Int64", np.bool_: "Bool"}
+    NAMES: ClassVar[dict[object, str]] = {
+        np.float64: "Float",
+        np.int32: "Int",
+        np.int64: "Int64",
+        np.intp: "Int64",
+        np.bool_: "Bool",
+    }
 
     def __class_getitem__(cls, held: object) -> object:
-        return TypeVar(cls.NAMES.get(held, getattr(held, "__name__", "Array").title()))  # type: ignore[misc]
+        return TypeVar(cls.NAMES.get(held, getattr(held, "__name__", "Array").title()))
 
 
 def name_array_types() -> None:
@@ -158,14 +166,14 @@ def name_array_types() -> None:
 
 
 def read_sections(  # noqa: PLR0917 (what autodoc calls it with)
-    app: Sphinx, what: str, name: str, member: object, given: object, lines: list[str]
+    app: Sphinx, what: Any, name: str, member: object, given: object, lines: list[str]
 ) -> None:
     """Turn the sections of a numpy docstring into fields.
 
-    Napoleon's own hook takes the first colon of a comment on a field for the end of a type; here such comments are text.
+    Napoleon's own hook takes the first colon of a comment on a field for the end of a type; such comments are text.
     """
     if what not in ("attribute", "data", "property"):
-        settings = Config(napoleon_google_docstring=False)
+        settings: Any = Config(napoleon_google_docstring=False)
         lines[:] = NumpyDocstring(lines, settings, app, what, name, member, given).lines()
 
 
@@ -176,7 +184,9 @@ def shorten_signature(  # noqa: PLR0917 (what autodoc calls it with)
     return (None if arguments is None else re.sub(r"<[^<>]*>", "...", arguments)), result
 
 
-def find_by_last_name(app: Sphinx, env: BuildEnvironment, node: pending_xref, shown: nodes.Element) -> nodes.Element | None:
+def find_by_last_name(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, shown: nodes.Element
+) -> nodes.Element | None:
     """Find a name in the reference that a docstring calls as its own module does."""
     if node.get("refdomain") != "py" or app.builder.name != "html":
         return None

@@ -1,4 +1,4 @@
-"""The site of the pages: it builds without a warning, every link and anchor leads somewhere, nothing comes from a network."""
+"""The site: it builds without a warning, links and anchors lead somewhere, nothing comes from a network."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import panopath
 import pytest
-import typer
 from panopath import errors
-from panopath.cli import app
 
 pytest.importorskip("furo", reason="needs the extra docs")
 
@@ -80,10 +78,14 @@ def pages(site: Path) -> dict[Path, Page]:
     return found
 
 
+def written(site: Path) -> set[Path]:
+    """Where the pages of the repository stand on the site."""
+    sources = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
+    return {site / source.relative_to(ROOT).with_suffix(".html") for source in sources}
+
+
 def test_every_page_of_the_repository_is_there(pages: dict[Path, Page], site: Path) -> None:
-    wanted = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-    missing = [str(p) for p in wanted if site / p.relative_to(ROOT).with_suffix(".html") not in pages]
-    assert not missing
+    assert written(site) <= set(pages)
 
 
 def test_links_and_anchors_lead_somewhere(pages: dict[Path, Page]) -> None:
@@ -105,15 +107,14 @@ def test_nothing_comes_from_a_network(pages: dict[Path, Page], site: Path) -> No
     outside = [f"{p.name}: {one}" for p, page in pages.items() for one in page.loads if "//" in one]
     for style in site.rglob("*.css"):
         text = style.read_text(encoding="utf-8")
-        outside += [f"{style.name}: {one}" for one in re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)'\"]*", text)]
+        outside += re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)'\"]*", text)
     assert not outside
 
 
 def test_home_leads_to_every_page(pages: dict[Path, Page], site: Path) -> None:
     home = site / f"{HOME}.html"
     reached = {(home.parent / unquote(urlsplit(link).path)).resolve() for link in pages[home].links}
-    written = {site / p.relative_to(ROOT).with_suffix(".html") for p in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]}
-    assert written <= {path.resolve() for path in reached} | {home}
+    assert written(site) <= reached | {home}
     assert 'url=docs/index.html"' in (site / "index.html").read_text(encoding="utf-8")
 
 
@@ -121,9 +122,13 @@ def test_navigation_follows_the_tables_of_home() -> None:
     home = "# H\n\n## Tutorials\n\n| page |\n|---|\n| [a](a.md), [b](../B.md) | [no](c.md) |\n\n## Empty\n\ntext\n"
     found = [HOME, "docs/a", "B", "docs/tutorial-z", "docs/late", "docs/method", "docs/method/x"]
     tree = navigation(home, found)
-    assert tree == {"Tutorials": ["docs/a", "B", "docs/tutorial-z"], "More": ["docs/late", "docs/method"]}
+    assert tree == {
+        "Tutorials": {"docs/a": "a", "B": "b", "docs/tutorial-z": ""},
+        "More": {"docs/late": "", "docs/method": ""},
+    }
     text = "| page |\n|---|\n| [y](method/y.md) | |\n"
-    assert chapter(text, "docs/method", ["docs/method/x", "docs/method/y"]) == ["docs/method/y", "docs/method/x"]
+    below = chapter(text, "docs/method", ["docs/method/x", "docs/method/y"])
+    assert list(below.items()) == [("docs/method/y", "y"), ("docs/method/x", "")]
     for page in CHAPTERS:
         listed = first_column_links((ROOT / f"{page}.md").read_text(encoding="utf-8"), page)
         assert {f"{page}/{one.stem}" for one in (ROOT / page).glob("*.md")} == set(listed)
@@ -174,3 +179,31 @@ def test_errors_page_names_every_error_and_exit_code() -> None:
     cli = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     codes = re.findall(r"^\| (\d+) \|", cli[cli.index("## Exit codes") : cli.index("## For every")], re.MULTILINE)
     assert set(codes) == set(re.findall(r"^\| (\d+) \|", text, re.MULTILINE)) == {"0", "2", "3", "130"}
+
+
+def test_flow_charts_are_drawn_whole() -> None:
+    """Rows go down along arrows, boxes do not overlap, and what is not understood is refused."""
+    chart = """flowchart LR
+        a["first<br/>line"] --> b["x < y"] --> c
+        a -- by another way --> c
+        d --> c
+        b --> e
+    """
+    assert [(e.tail, e.head, e.text) for e in read(chart).edges][2] == ("a", "c", "by another way")
+    drawn = draw(chart)
+    assert drawn.count("<rect") == 5
+    assert "x &lt; y" in drawn
+    assert "by another way" in drawn
+    boxes = [
+        [float(n) for n in re.findall(r'(?:x|y|width|height)="([-\d.]+)"', one)] for one in drawn.split("<rect")[1:]
+    ]
+    for i, (x, y, wide, high) in enumerate(b[:4] for b in boxes):
+        for u, v, other, _ in (b[:4] for b in boxes[:i]):
+            assert abs(y - v) > high or x + wide <= u or u + other <= x
+    heights = dict(zip("abcde", (b[1] for b in boxes), strict=True))
+    assert heights["a"] < heights["b"] < heights["c"]
+    assert heights["d"] < heights["c"]
+    assert read("flowchart TD\n a --> b\n b --> a").edges[1].head == "a"  # a ring is drawn, not followed for ever
+    assert draw("flowchart TD\n a --> b\n b --> a").count("<rect") == 2
+    with pytest.raises(ValueError, match="is not understood"):
+        read("flowchart LR\n a ==> b")
