@@ -88,8 +88,23 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python -m docs.figures_reconstruct
 	$(BIN)/python -m docs.figures_moving
 
-wheel: $(STAMPS)/venv  ## an optimised wheel in dist
-	$(BIN)/maturin build --release --out dist
+wheel: $(STAMPS)/venv  ## an optimised wheel in dist, for Python 3.11 and newer on this platform
+	rm -f dist/panopath-*.whl
+	$(BIN)/maturin build --release --locked --out dist
+
+sdist: $(STAMPS)/venv  ## the sources in dist, as an archive that pip can build
+	rm -f dist/panopath-*.tar.gz
+	$(BIN)/maturin sdist --out dist
+
+# Nothing of this folder is seen there: what the wheel lacks is missing.
+check-dist: wheel sdist  ## install the wheel with all extras, and the sources alone, into empty environments; run them
+	rm -rf dist/wheel-venv dist/sdist-venv dist/demo
+	$(PYTHON) -m venv dist/wheel-venv
+	cd dist && wheel-venv/bin/python -m pip install --quiet "$$(ls -d "$$PWD"/panopath-*.whl)[all]"
+	cd dist && wheel-venv/bin/panopath doctor && wheel-venv/bin/panopath demo --out demo
+	$(PYTHON) -m venv dist/sdist-venv
+	cd dist && sdist-venv/bin/python -m pip install --quiet panopath-*.tar.gz
+	cd dist && sdist-venv/bin/panopath --version
 
 clean:  ## remove what make made: .venv, target, dist and caches
 	rm -rf .venv target dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -117,4 +132,4 @@ $(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/docs $(STAMPS)/dev $(S
 	@touch $@
 
 .PHONY: demo install test check format lint types stubs layers test-rust test-python fix bench bench-rust \
-	docs docs-figures wheel clean help
+	docs docs-figures wheel sdist check-dist clean help

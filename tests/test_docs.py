@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ import numpy as np
 import panopath as pp
 import pytest
 import typer
+from filmed import Film
 from panopath.cli import app
 
 from docs.figures_moving import crossing
@@ -24,35 +27,97 @@ RUNNING = (
     "docs/tutorial-first-solve.md",
     "docs/tutorial-unknown-orientation.md",
     "docs/tutorial-certificate.md",
+    "docs/tutorial-video.md",
+    "docs/tutorial-coast.md",
+    "docs/tutorial-robot.md",
+    "docs/tutorial-colmap.md",
     "docs/paper.md",
     "docs/moving.md",
 )
+#: Pages whose indented commands run too.
+SHOWING = sorted({*RUNNING, "docs/reconstruct.md", "docs/index.md", "docs/view.md", "docs/planets.md"})
 
 
-def fenced(page: str, language: str) -> list[tuple[int, str]]:
-    """Blocks of a page in one language, each with the line it begins at."""
+def fenced(page: str) -> list[tuple[str, int, str]]:
+    """Blocks of a page: language, the line it begins at, and text."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return [(text.count("\n", 0, match.start(1)), match.group(1)) for match in found]
+    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [(match.group(1), text.count("\n", 0, match.start(2)), match.group(2)) for match in found]
 
 
 @pytest.mark.parametrize("page", RUNNING)
 def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    python, console = fenced(page, "python"), fenced(page, "console")
-    assert python
+    blocks = fenced(page)
+    assert any(language == "python" for language, _, _ in blocks)
     namespace: dict[str, object] = {}
-    for line, block in python:
-        # as many empty lines as stand before it: a failure then names the line of the page
-        exec(compile("\n" * line + block, page, "exec"), namespace)
     environment = os.environ | {"COLUMNS": "120"}
-    for _, block in console:
-        for command in re.findall(r"^\$ (.*)$", block, re.MULTILINE):
-            words = shlex.split(command)
-            assert words[0] == "panopath"
-            run = [sys.executable, "-m", "panopath.cli", *words[1:]]
-            done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-            assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
+    for language, line, block in blocks:
+        if language == "python":
+            # as many empty lines as stand before it: a failure then names the line of the page
+            exec(compile("\n" * line + block, page, "exec"), namespace)
+        elif language == "console":
+            for command in re.findall(r"^\$ (.*)$", block, re.MULTILINE):
+                words = shlex.split(command)
+                assert words[0] == "panopath"
+                run = [sys.executable, "-m", "panopath.cli", *words[1:]]
+                done = subprocess.run(run, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+                assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
+
+
+def commands(page: str) -> list[str]:
+    """Commands that a page shows without a prompt, in indented blocks."""
+    text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [line.split("  #")[0].strip() for line in re.findall(r"^    (panopath .*)$", text, re.MULTILINE)]
+
+
+@pytest.fixture
+def inputs(tmp_path: Path, film: Film) -> Path:
+    """A folder with the files that the pages' commands take."""
+    (tmp_path / "walk.mp4").symlink_to(film.path)
+    film.walk.write_images(tmp_path / "photos", every=3)
+    pytest.importorskip("pycolmap", reason="needs the extra colmap")
+    runpy.run_path(str(ROOT / "examples" / "colmap_map.py"))["make_database"](tmp_path / "database.db")
+    (tmp_path / "known.txt").write_text("house 0\nhouse 1\n", encoding="utf-8")
+    return tmp_path
+
+
+def write_bearings(page: str, path: Path) -> None:
+    """Write the bearings that a page speaks of."""
+    if page == "docs/moving.md":
+        blocks = [block for language, _, block in fenced(page) if language == "python"]
+        namespace: dict[str, object] = {}
+        exec(blocks[0], namespace)
+        tracks = namespace["tracks"]
+        assert isinstance(tracks, pp.Tracks)
+    else:
+        tracks = pp.simulate("street", n_views=12, n_points=200, seed=3, orientations="random").tracks
+    pp.write_tracks(tracks, path)
+
+
+@pytest.mark.parametrize("page", [page for page in SHOWING if commands(page)])
+def test_commands_run(page: str, inputs: Path) -> None:
+    """Every command that README and the pages for newcomers show, in its order."""
+    write_bearings(page, inputs / "bearings.csv")
+    for command in commands(page):
+        words = shlex.split(command)
+        run = [sys.executable, "-m", "panopath.cli", *words[1:]]
+        if words[1] == "view":
+            watched(run, inputs)
+            continue
+        done = subprocess.run(run, cwd=inputs, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{page}: {command}\n{done.stdout}{done.stderr}"
+
+
+def watched(run: list[str], folder: Path) -> None:
+    """Start a viewer, and end it by Ctrl+C when it says where it serves."""
+    pytest.importorskip("viser", reason="needs the extra view")
+    more = ["--port", "0", "--no-browser"]
+    with subprocess.Popen([*run, *more], cwd=folder, stdout=subprocess.PIPE, text=True) as viewer:
+        assert viewer.stdout is not None
+        assert "http://" in viewer.stdout.readline()
+        viewer.send_signal(signal.SIGINT)
+        assert viewer.wait(timeout=60.0) in {0, 130}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
