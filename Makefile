@@ -76,6 +76,7 @@ bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 	cargo bench --workspace
 
 docs: $(STAMPS)/package $(STAMPS)/docs  ## the pages as a site, with the reference of Python: site/index.html
+	rm -rf site
 	$(BIN)/python -m sphinx --builder html --fresh-env --fail-on-warning --keep-going --quiet --conf-dir docs \
 		--doctree-dir target/doctrees . site
 	@echo "open site/index.html"

@@ -10,6 +10,7 @@ docstring, in the form that suits it.
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import importlib
 import inspect
@@ -37,6 +38,8 @@ TUTORIALS = "Tutorials"
 MORE = "More"
 #: Pages whose tables list the pages of the folder of the same name.
 CHAPTERS = ("docs/method", "docs/reference")
+#: Letters of a cell that stays on one line.
+SHORT_CELL = 12
 
 
 def first_column_links(text: str, page: str) -> dict[str, str]:
@@ -180,8 +183,22 @@ def read_sections(  # noqa: PLR0917 (what autodoc calls it with)
 def shorten_signature(  # noqa: PLR0917 (what autodoc calls it with)
     app: Sphinx, what: str, name: str, member: object, given: object, arguments: str | None, result: str | None
 ) -> tuple[str | None, str | None]:
-    """Write a default that is no number and no text as three dots: it is no Python, and cannot be set in type."""
+    """Leave out of a signature what stands below it, or is no Python.
+
+    The arguments of a record are its fields, and these are listed with their types, defaults and meaning.
+    """
+    if inspect.isclass(member) and issubclass(member, enum.Enum):
+        return "", None
+    if dataclasses.is_dataclass(member):
+        return "(...)", None
     return (None if arguments is None else re.sub(r"<[^<>]*>", "...", arguments)), result
+
+
+def keep_short_cells_whole(app: Sphinx, page: nodes.document, name: str) -> None:
+    """Mark cells of tables that are short, such as a number with its unit: they do not break."""
+    for cell in page.findall(nodes.entry):
+        if len(cell.astext()) <= SHORT_CELL:
+            cell["classes"].append("short")
 
 
 def find_by_last_name(
@@ -224,6 +241,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", add_navigation)
     app.connect("autodoc-process-docstring", read_sections)
     app.connect("autodoc-process-signature", shorten_signature)
+    app.connect("doctree-resolved", keep_short_cells_whole)
     app.connect("missing-reference", find_by_last_name)
     app.connect("build-finished", add_way_in)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
