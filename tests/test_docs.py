@@ -229,6 +229,20 @@ def test_paper_gauge_keeps_points_in_front() -> None:
     assert found == {-1, 1}
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_paragraph_breaks_into_a_list(page: Path) -> None:
+    """A line of a sentence that begins with a dash is read as the first item of a list."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    broken = []
+    for block in text.split("\n\n"):
+        lines = block.strip("\n").splitlines()
+        # below an item or another line that is set in, a list goes on
+        starts = [i for i, line in enumerate(lines) if re.match(r"([-+*]|1[.)]) ", line)]
+        if starts and starts[0] > 0 and not lines[0].startswith((" ", "#", "<!--")):
+            broken.append(lines[starts[0]])
+    assert not broken
+
+
 def test_no_page_names_a_machine_or_leaves_a_gap() -> None:
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
