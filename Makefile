@@ -75,6 +75,12 @@ bench: $(STAMPS)/package $(STAMPS)/peers  ## measure against other programs and 
 bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 	cargo bench --workspace
 
+docs: $(STAMPS)/package $(STAMPS)/docs  ## the pages as a site, with the reference of Python: site/index.html
+	rm -rf site
+	$(BIN)/python -m sphinx --builder html --fresh-env --fail-on-warning --keep-going --quiet --conf-dir docs \
+		--doctree-dir target/doctrees . site
+	@echo "open site/index.html"
+
 docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README and docs again
 	$(BIN)/python docs/figures.py
 	$(BIN)/python -m docs.figures_certificate
@@ -110,7 +116,7 @@ check-dist: wheel sdist  ## install the wheel with all extras, and the sources a
 	cd dist && sdist-venv/bin/panopath --version
 
 clean:  ## remove what make made: .venv, target, dist and caches
-	rm -rf .venv target dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv target dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	rm -f python/panopath/_core*.so
 
 help:  ## this list
@@ -130,9 +136,9 @@ $(STAMPS)/package: $(STAMPS)/venv pyproject.toml $(RUST_SOURCES)
 	@touch $@
 
 # The package is there already, so pip adds only what its extra names.
-$(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
+$(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/docs $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
 	$(BIN)/python -m pip install --quiet 'panopath[$(@F)]'
 	@touch $@
 
 .PHONY: demo install test check format lint types stubs layers test-rust test-python fix bench bench-rust \
-	docs-figures wheel sdist check-dist clean help
+	docs docs-figures wheel sdist check-dist clean help

@@ -33,6 +33,8 @@ RUNNING = (
     "docs/tutorial-colmap.md",
     "docs/paper.md",
     "docs/moving.md",
+    "docs/index.md",
+    "docs/reference/errors.md",
 )
 #: Pages whose indented commands run too.
 SHOWING = sorted({*RUNNING, "docs/reconstruct.md", "docs/index.md", "docs/view.md", "docs/planets.md"})
@@ -143,6 +145,21 @@ def command_options() -> dict[str, set[str]]:
     }
 
 
+def command_parameters() -> dict[str, dict[str, object]]:
+    """Long options of every command with their defaults."""
+    group = typer.main.get_command(app)
+    commands = getattr(group, "commands")  # noqa: B009 (typer's own class, of no public type)
+    return {
+        name: {
+            option: parameter.default
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+            if option.startswith("--")
+        }
+        for name, command in commands.items()
+    }
+
+
 def test_command_line_page_lists_every_option_and_no_other() -> None:
     text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help"}
@@ -150,6 +167,31 @@ def test_command_line_page_lists_every_option_and_no_other() -> None:
     assert listed == real
     for command in command_options():
         assert f"panopath {command}" in text
+
+
+@pytest.mark.parametrize("command", sorted(command_parameters()))
+def test_command_line_page_tables_are_those_of_the_commands(command: str) -> None:
+    """In each command's section: all of its options, no others, and their defaults where the table gives a value."""
+    text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    section = re.split(r"^## ", text[text.index(f"\n## panopath {command}\n") + 1 :], flags=re.MULTILINE)[1]
+    for_all = {"--json", "--quiet", "--overwrite"}
+    real = command_parameters()[command]
+    told: set[str] = set()
+    for row in re.findall(r"^\| (`-.*) \|$", section, re.MULTILINE):
+        cells = re.split(r"(?<!\\)\s*\|\s*", row)
+        names = re.findall(r"(?<![\w-])--[a-z][a-z-]+", cells[0])
+        told |= set(names)
+        values = [value.strip("` ") for value in cells[2].split(", ")]
+        if len(values) == len(names):
+            for name, value in zip(names, values, strict=True):
+                default, first = real.get(name), value.split(":")[0]
+                # None: the step's own; False: not given
+                if default is not None and default is not False:
+                    assert first == str(default) or float(first) == default, (command, name)
+    assert told == set(real) - for_all
+    overwrites = re.search(r"^(`reconstruct`, .*?) also take `--overwrite`", text, re.MULTILINE | re.DOTALL)
+    assert overwrites is not None
+    assert ("--overwrite" in real) == (f"`{command}`" in overwrites.group(1))
 
 
 def test_formats_page_names_every_column_and_file(tmp_path: Path) -> None:
@@ -185,6 +227,20 @@ def test_paper_gauge_keeps_points_in_front() -> None:
         np.testing.assert_allclose(scene.points[1, 0], side, atol=1e-9)
         found.add(int(side))
     assert found == {-1, 1}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_paragraph_breaks_into_a_list(page: Path) -> None:
+    """A line of a sentence that begins with a dash is read as the first item of a list."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    broken = []
+    for block in text.split("\n\n"):
+        lines = block.strip("\n").splitlines()
+        # below an item or another line that is set in, a list goes on
+        starts = [i for i, line in enumerate(lines) if re.match(r"([-+*]|1[.)]) ", line)]
+        if starts and starts[0] > 0 and not lines[0].startswith((" ", "#", "<!--")):
+            broken.append(lines[starts[0]])
+    assert not broken
 
 
 def test_no_page_names_a_machine_or_leaves_a_gap() -> None:
