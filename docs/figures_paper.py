@@ -19,10 +19,11 @@ IMAGES = HERE / "img" / "paper"
 PAGE = HERE / "paper-experiments.md"
 HEAD = """# The experiments of the paper
 
-Written by `python -m docs.figures_paper`; do not edit. Every figure, table and theorem of the 2007 paper that can be run,
-run: what it says, in our words, beside what came out. *Agrees*, *in part*, *corrected*: the last with what holds instead;
-why is in [The paper](paper.md). All experiments took {minutes:.1f} minutes on {cores} cores. `panopath paper all -o OUT`
-does the same and leaves the raw results, a row a trial; `--seed` and `--trials` make other draws.
+Written by `python -m docs.figures_paper`; do not edit. Every figure, table and theorem of the 2007 paper that can
+be run, run: what it says, in our words, beside what came out. *Agrees*, *in part*, *corrected*: the last with what
+holds instead; why is in [The paper](paper.md). All experiments took {minutes:.1f} minutes on {cores} cores.
+`panopath paper all -o OUT` does the same and leaves the raw results, a row a trial; `--seed` and `--trials` make
+other draws.
 
 | experiment | section | statements | agree | in part | corrected | trials | seconds |
 |---|---|---|---|---|---|---|---|
