@@ -9,10 +9,13 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from datetime import UTC, datetime
 from pathlib import Path
 
 from panopath.paper import EXPERIMENTS, Record, Settings, run_experiment
 from panopath.paper.record import summary_text
+
+from benchmarks.run import machine, versions
 
 HERE = Path(__file__).parent
 IMAGES = HERE / "img" / "paper"
@@ -21,7 +24,8 @@ HEAD = """# The experiments of the paper
 
 Written by `python -m docs.figures_paper`; do not edit. Every figure, table and theorem of the 2007 paper that can
 be run, run: what it says, in our words, beside what came out. *Agrees*, *in part*, *corrected*: the last with what
-holds instead; why is in [The paper](paper.md). All experiments took {minutes:.1f} minutes on {cores} cores.
+holds instead; why is in [The paper](paper.md). All experiments took {minutes:.1f} minutes, {date}, on
+{machine}.
 `panopath paper all -o OUT` does the same and leaves the raw results, a row a trial; `--seed` and `--trials` make
 other draws.
 
@@ -53,10 +57,20 @@ def page_text(records: list[Record]) -> str:
         cells = (f"[`{record.name}`](#{_anchor(record.title)})", record.section, *counts, f"{record.n_trials:,}")
         rows.append(f"| {' | '.join(map(str, cells))} | {record.wall_s:.1f} |")
     head = HEAD.format(
-        minutes=sum(record.wall_s for record in records) / 60.0, cores=records[0].n_cores, rows="\n".join(rows)
+        minutes=sum(record.wall_s for record in records) / 60.0,
+        date=f"{datetime.now(UTC):%Y-%m-%d}",
+        machine=_machine(),
+        rows="\n".join(rows),
     )
     body = summary_text(records, "img/paper/").split("\n", 2)[2]
     return head + "\n" + body
+
+
+def _machine() -> str:
+    """Processor and the versions that count."""
+    found, known = machine(), versions()
+    packages = ", ".join(f"{name} {known[name]}" for name in ("python", "panopath", "numpy"))
+    return f"{found['cpu']}, {found['cores']} cores, {found['system']}; {packages}"
 
 
 def _anchor(title: str) -> str:
