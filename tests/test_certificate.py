@@ -50,6 +50,16 @@ def test_an_ellipse_is_ambiguous_however_many_see_however_many(size: int) -> Non
     assert not found.is_determined
 
 
+@pytest.mark.parametrize("parallax_rad", [1e-1, 3e-3, 1e-3])
+def test_points_of_little_parallax_do_not_hide_a_freedom(parallax_rad: float) -> None:
+    """Two views of the plane are ambiguous; points far along their line were held by the floor under their pivots."""
+    centers = np.array([(0.0, 0.0), (1.0, 0.0)])
+    points = np.array([(5.0, 20.0 * parallax_rad), (6.0, -31.0 * parallax_rad), (-3.0, 13.0 * parallax_rad)])
+    found = pp.certify(*everyone_sees(centers, points))
+    assert (found.verdict, found.nullity) == (Verdict.UNDETERMINED, 4)
+    assert found.gap.last_null < 1e-10
+
+
 @pytest.mark.parametrize("size", [3, 4, 10])
 def test_one_view_off_the_ellipse_is_enough(size: int) -> None:
     centers, points = on_ellipse(size)

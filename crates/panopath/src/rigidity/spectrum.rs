@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::frame::Frame;
 use crate::bundle::determinacy::{GUARD, GaugeBasis, clear_held};
 use crate::bundle::newton::NewtonWeights;
-use crate::bundle::part::{Lanes, Part};
+use crate::bundle::part::Lanes;
 use crate::bundle::reduced::{
     Damping, Factorised, Freedoms, PointSum, Quadratic, Row, Translations, Weighing, most_observed_node,
 };
@@ -344,13 +344,17 @@ impl<const D: usize> Follow<D> {
         Self { factor: sum.factor(0.0, &Lanes::ZERO), models }
     }
 
+    /// The displacement of the point that costs least. It is improved once by what it leaves: the factor has a floor under
+    /// its pivots, and where rays are nearly parallel that floor holds the point back by more than rounding would.
     fn displacement<const W: usize>(&self, frame: &Frame<D>, j: usize, step: &[f64]) -> Lanes {
-        let part: &Part<D> = &frame.part;
-        let pull = self
-            .models
-            .iter()
-            .zip(part.observations(j))
-            .fold(Lanes::ZERO, |sum, (model, o)| sum.plus(&model.apply::<D>(&frame.origin_shift::<W>(step, o, j))));
+        let shifts = frame.part.observations(j).map(|o| frame.origin_shift::<W>(step, o, j));
+        let first = self.solve(shifts.clone());
+        first.plus(&self.solve(shifts.map(|shift| shift.minus(&first))))
+    }
+
+    /// What the observations ask of the point whose rays start at these places.
+    fn solve(&self, shifts: impl Iterator<Item = Lanes>) -> Lanes {
+        let pull = self.models.iter().zip(shifts).fold(Lanes::ZERO, |sum, (model, s)| sum.plus(&model.apply::<D>(&s)));
         self.factor.solve(&pull)
     }
 }
