@@ -231,7 +231,7 @@ def test_without_matplotlib_it_says_so_first(
 def fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer cases in the longest parts of a run."""
     monkeypatch.setattr(counting, "_LARGEST", 6)
-    monkeypatch.setattr(mean_motion, "_RATES_HZ", (1, 4, 32))
+    monkeypatch.setattr(mean_motion, "_RATES_HZ", (1, 4, 16))
     monkeypatch.setattr(moving, "_LARGEST", 5)
     monkeypatch.setattr(visibility, "_LARGE_SHARES", (0.9, 1.1, 2.0, 8.0))
 
