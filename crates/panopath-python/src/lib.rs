@@ -17,6 +17,7 @@ mod rigidity;
 mod sphere;
 mod synthetic;
 mod table;
+mod trials;
 mod two_view;
 mod view_graph;
 mod walk;
@@ -39,6 +40,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)?;
+    trials::register(module)?;
     view_graph::register(module)?;
     walk::register(module)?;
     two_view::register(module)
