@@ -4,5 +4,12 @@ from __future__ import annotations
 
 from panopath.paper.counting import COUNTING
 from panopath.paper.experiment import Experiment
+from panopath.paper.noise import NOISE
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (COUNTING,)}
+EXPERIMENTS: dict[str, Experiment] = {
+    one.name: one
+    for one in (
+        COUNTING,
+        NOISE,
+    )
+}
