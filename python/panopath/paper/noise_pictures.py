@@ -22,7 +22,7 @@ def draw_noise(
     figure: Any, keys: Sequence[Key], fresh: Mapping[Key, Runs], growth: Mapping[Key, Runs], bias: Sequence[Bias]
 ) -> None:
     """Draw, for each size, the maximal error, the rms error with its bound and bias, and the local exponent."""
-    grid = figure.subplots(3, len(keys), sharex=True, sharey="row")
+    grid = figure.subplots(3, len(keys), sharex=True, sharey="row", squeeze=False)
     for column, key in enumerate(keys):
         _draw_errors(grid[0][column], fresh[key], growth[key], "all_max")
         _draw_errors(grid[1][column], fresh[key], growth[key], "all_rms")
@@ -105,7 +105,7 @@ _MEASURES = (
 
 def draw_measures(figure: Any, keys: Sequence[Key], growth: Mapping[Key, Runs]) -> None:
     """Draw the paper's measures of error, and the error of the scene filmed again."""
-    grid = figure.subplots(len(_MEASURES), len(keys), sharex=True, sharey="row")
+    grid = figure.subplots(len(_MEASURES), len(keys), sharex=True, sharey="row", squeeze=False)
     for row, (label, lines) in zip(grid, _MEASURES, strict=True):
         for panel, key in zip(row, keys, strict=True):
             runs, is_rate = growth[key], label.startswith("filmed")

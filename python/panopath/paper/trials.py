@@ -53,10 +53,10 @@ class Trials:
     angle_error_rad: Float
     solvers: tuple[str, ...]
     #: (T, solvers) each: ``status``, ``n_missing``, ``all_max`` and so on. The first word is the frame: ``all`` is a
-    #: fit by shift and scale over all views and points, ``views`` over the views alone, ``paper`` has the first point at the
-    #: origin and the second at x = 1. The rest is ``max``, ``mean_abs``, ``mean``, ``rms``, ``camera_rms``,
-    #: ``point_rms``, ``point_coordinate_max``; of the refilmed scene ``refilm_max_rad``, ``refilm_rms_rad`` to the true
-    #: bearings and ``refilm_residual_max_rad``, ``refilm_residual_rms_rad`` to the measured ones.
+    #: fit by shift and scale over all views and points, ``views`` over the views alone, ``paper`` has the first point
+    #: at the origin and the second at x = 1. The rest is ``max``, ``mean_abs``, ``mean``, ``rms``, ``camera_rms``,
+    #: ``point_rms``, ``point_coordinate_max``; of the scene filmed again ``refilm_max_rad``, ``refilm_rms_rad`` to the
+    #: true bearings, and ``refilm_residual_max_rad``, ``refilm_residual_rms_rad`` to the measured ones.
     columns: Mapping[str, npt.NDArray[Any]]
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ def mean(values: npt.ArrayLike) -> float:
 
 def rms(values: npt.ArrayLike) -> float:
     """Root mean square of what is finite; NaN of nothing."""
-    return mean(np.square(np.asarray(values, dtype=np.float64))) ** 0.5
+    return float(np.sqrt(mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
 def largest(values: npt.ArrayLike) -> float:
@@ -168,10 +168,13 @@ def run_trials(
         raise InputError(str(error)) from None
     columns = {name: np.asarray(values).reshape(len(seeds), len(solvers)) for name, values in found.items()}
     return Trials(
-        dimension,
-        *(read_only(values) for values in (views, points, seeds, errors)),
-        tuple(solvers),
-        MappingProxyType(columns),
+        dimension=dimension,
+        n_views=read_only(views),
+        n_points=read_only(points),
+        seed=read_only(seeds),
+        angle_error_rad=read_only(errors),
+        solvers=tuple(solvers),
+        columns=MappingProxyType(columns),
     )
 
 
