@@ -75,6 +75,12 @@ bench: $(STAMPS)/package $(STAMPS)/peers  ## measure against other programs and 
 bench-rust: $(STAMPS)/venv  ## criterion: one group a step
 	cargo bench --workspace
 
+docs: $(STAMPS)/package $(STAMPS)/docs  ## the pages as a site, with the reference of Python: site/index.html
+	rm -rf site
+	$(BIN)/python -m sphinx --builder html --fresh-env --fail-on-warning --keep-going --quiet --conf-dir docs \
+		--doctree-dir target/doctrees . site
+	@echo "open site/index.html"
+
 docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README and docs again
 	$(BIN)/python docs/figures.py
 	$(BIN)/python -m docs.figures_certificate
@@ -82,12 +88,35 @@ docs-figures: $(STAMPS)/package $(STAMPS)/plot  ## draw the pictures of README a
 	$(BIN)/python -m docs.figures_view
 	$(BIN)/python -m docs.figures_reconstruct
 	$(BIN)/python -m docs.figures_moving
+	$(BIN)/python -m docs.figures_paper
+	$(BIN)/python examples/coast_survey.py docs/img/tutorial/coast.png
 
-wheel: $(STAMPS)/venv  ## an optimised wheel in dist
-	$(BIN)/maturin build --release --out dist
+# On Linux zig links against an older C library than the one of this machine, so that the wheel runs on more of them.
+wheel: $(STAMPS)/venv  ## an optimised wheel in dist, for Python 3.11 and newer on this platform
+	rm -f dist/panopath-*.whl
+ifeq ($(shell uname -s),Linux)
+	$(BIN)/python -m pip install --quiet ziglang
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --compatibility manylinux_2_28 --out dist
+else
+	$(BIN)/maturin build --release --locked --out dist
+endif
+
+sdist: $(STAMPS)/venv  ## the sources in dist, as an archive that pip can build
+	rm -f dist/panopath-*.tar.gz
+	$(BIN)/maturin sdist --out dist
+
+# Nothing of this folder is seen there: what the wheel lacks is missing.
+check-dist: wheel sdist  ## install the wheel with all extras, and the sources alone, into empty environments; run them
+	rm -rf dist/wheel-venv dist/sdist-venv dist/demo
+	$(PYTHON) -m venv dist/wheel-venv
+	cd dist && wheel-venv/bin/python -m pip install --quiet "$$(ls -d "$$PWD"/panopath-*.whl)[all]"
+	cd dist && wheel-venv/bin/panopath doctor && wheel-venv/bin/panopath demo --out demo
+	$(PYTHON) -m venv dist/sdist-venv
+	cd dist && sdist-venv/bin/python -m pip install --quiet panopath-*.tar.gz
+	cd dist && sdist-venv/bin/panopath --version
 
 clean:  ## remove what make made: .venv, target, dist and caches
-	rm -rf .venv target dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv target dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	rm -f python/panopath/_core*.so
 
 help:  ## this list
@@ -107,9 +136,9 @@ $(STAMPS)/package: $(STAMPS)/venv pyproject.toml $(RUST_SOURCES)
 	@touch $@
 
 # The package is there already, so pip adds only what its extra names.
-$(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
+$(STAMPS)/plot $(STAMPS)/video $(STAMPS)/images $(STAMPS)/docs $(STAMPS)/dev $(STAMPS)/peers: $(STAMPS)/venv pyproject.toml | $(STAMPS)/package
 	$(BIN)/python -m pip install --quiet 'panopath[$(@F)]'
 	@touch $@
 
 .PHONY: demo install test check format lint types stubs layers test-rust test-python fix bench bench-rust \
-	docs-figures wheel clean help
+	docs docs-figures wheel sdist check-dist clean help

@@ -18,7 +18,6 @@ from __future__ import annotations
 import json
 import sqlite3
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -32,6 +31,7 @@ import numpy.typing as npt
 import panopath as pp
 from panopath.model import Float
 
+from benchmarks.job import answer_of
 from benchmarks.optional import load
 from benchmarks.scoring import align, distances, rms
 
@@ -272,14 +272,7 @@ def run_peer(database: Path, folder: Path, time_limit_s: float = 1800.0) -> dict
     with tempfile.TemporaryDirectory() as scratch:
         answer = Path(scratch) / "answer.json"
         command = [sys.executable, "-m", "benchmarks.databases", "--peer", str(database), str(folder), str(answer)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
-        except subprocess.TimeoutExpired:
-            return {"error": f"stopped after {time_limit_s:.0f} s"}
-        if not answer.exists():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return {"error": f"exit code {done.returncode}: {last[:200]}"}
-        return dict(json.loads(answer.read_text(encoding="utf-8")))
+        return answer_of(command, answer, time_limit_s)
 
 
 @dataclass(frozen=True)

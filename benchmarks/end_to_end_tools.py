@@ -9,7 +9,6 @@ files that ours writes, the report and the certificate among them.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 import time
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.databases import global_mapping
-from benchmarks.job import peak_mb
+from benchmarks.job import answer_of, peak_mb
 from benchmarks.optional import load
 
 Answer = dict[str, Any]
@@ -35,14 +34,7 @@ def in_fresh_process(tool: str, source: Path, out: Path, time_limit_s: float) ->
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "answer.json"
         command = [sys.executable, "-m", "benchmarks.end_to_end_tools", tool, str(source), str(out), str(answer)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
-        except subprocess.TimeoutExpired:
-            return {"error": f"stopped after {time_limit_s:.0f} s"}
-        if not answer.exists():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return {"error": f"exit code {done.returncode}: {last[:200]}"}
-        return dict(json.loads(answer.read_text(encoding="utf-8")))
+        return answer_of(command, answer, time_limit_s)
 
 
 def panopath(source: Path, out: Path) -> Answer:

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
@@ -52,16 +53,21 @@ def in_fresh_process(what: str, spec: Spec, time_limit_s: float) -> dict[str, An
     with tempfile.TemporaryDirectory() as folder:
         question, answer = Path(folder) / "spec.json", Path(folder) / "answer.json"
         question.write_text(json.dumps(spec.__dict__), encoding="utf-8")
-        command = [sys.executable, "-m", "benchmarks.job", what, str(question), str(answer)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
-        except subprocess.TimeoutExpired:
-            return {"error": f"stopped after {time_limit_s:.0f} s", "seconds_at_least": time_limit_s}
-        if not answer.exists():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return {"error": f"exit code {done.returncode}: {last[:200]}"}
-        result: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
-        return result
+        return answer_of(
+            [sys.executable, "-m", "benchmarks.job", what, str(question), str(answer)], answer, time_limit_s
+        )
+
+
+def answer_of(command: Sequence[str], answer: Path, time_limit_s: float) -> dict[str, Any]:
+    """Run a process that leaves a JSON object; a failure or timeout comes back as ``{"error": text}``."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit_s, check=False)
+    except subprocess.TimeoutExpired:
+        return {"error": f"stopped after {time_limit_s:.0f} s", "seconds_at_least": time_limit_s}
+    if not answer.exists():
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        return {"error": f"exit code {done.returncode}: {last[:200]}"}
+    return dict(json.loads(answer.read_text(encoding="utf-8")))
 
 
 def fingerprint(world: SyntheticWorld) -> str:

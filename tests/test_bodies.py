@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import panopath as pp
@@ -174,29 +175,18 @@ def test_evaluate_compares_along_paths(world: pp.SyntheticWorld, scene: pp.Scene
 
 
 def test_orientations_half_a_degree_off_are_refined_with_paths() -> None:
-    off = pp.simulate(
-        "street",
-        n_views=60,
-        n_points=1200,
-        seed=5,
-        noise_rad=SIGMA_RAD,
-        mover_fraction=0.2,
-        n_bodies=12,
-        wobble_m=0.3,
-        orientations="random",
-        orientation_error_rad=np.radians(0.5),
-    )
-    true = pp.simulate(
-        "street",
-        n_views=60,
-        n_points=1200,
-        seed=5,
-        noise_rad=SIGMA_RAD,
-        mover_fraction=0.2,
-        n_bodies=12,
-        wobble_m=0.3,
-        orientations="random",
-    )
+    world: dict[str, Any] = {
+        "n_views": 60,
+        "n_points": 1200,
+        "seed": 5,
+        "noise_rad": SIGMA_RAD,
+        "mover_fraction": 0.2,
+        "n_bodies": 12,
+        "wobble_m": 0.3,
+        "orientations": "random",
+    }
+    true = pp.simulate("street", **world)
+    off = pp.simulate("street", **world, orientation_error_rad=np.radians(0.5))
     held = pp.solve_positions(off.tracks, off.cam_from_world, motion=pp.Motion())
     found = pp.solve_positions(off.tracks, off.cam_from_world, motion=pp.Motion(refine_orientations=True))
     error = pp.evaluate(found, off).camera_rms

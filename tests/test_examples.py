@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -69,6 +70,20 @@ def test_street_walk(tmp_path: Path) -> None:
     scene = pp.read_scene(tmp_path / "walk")
     assert scene.summary.n_solved_views == 60
     assert {path.stem for path in (tmp_path / "walk" / "colmap" / "0").iterdir()} >= {"cameras", "images", "points3D"}
+
+
+def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cells run one after the other, and it was stored without what they printed."""
+    matplotlib = pytest.importorskip("matplotlib", reason="needs the extra plot")
+    matplotlib.use("agg")
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((EXAMPLES / "first_solve.ipynb").read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    namespace: dict[str, object] = {}
+    for k, cell in enumerate(notebook["cells"]):
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"]
+            exec(compile("".join(cell["source"]), f"cell {k}", "exec"), namespace)
 
 
 def test_planets(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ __all__ = [
     "bearings_from_perspective",
     "bearings_from_planar_compass",
     "bearings_from_spherical",
+    "build_info",
     "certify",
     "check_consistency",
     "circular_from_bearings",
@@ -254,3 +255,4 @@ def equirectangular_from_bearings(
 def vertical_field_of_view(
     bearing: npt.NDArray[np.float64], low_rad: float, high_rad: float, y_down: bool
 ) -> npt.NDArray[np.float64]: ...
+def build_info() -> dict[str, Any]: ...

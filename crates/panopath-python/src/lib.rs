@@ -8,6 +8,7 @@ mod correspondence;
 mod descriptors;
 mod freedoms;
 mod headings;
+mod machine;
 mod motion;
 mod orientation;
 mod paths;
@@ -32,6 +33,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     descriptors::register(module)?;
     freedoms::register(module)?;
     headings::register(module)?;
+    machine::register(module)?;
     motion::register(module)?;
     paths::register(module)?;
     positions::register(module)?;

@@ -8,8 +8,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::convert::{FromHeadingOrMatrix, Input, Observations, fill, on_threads, value_error, vectors};
-use crate::positions::{Start, read_options};
+use crate::convert::{FromHeadingOrMatrix, Input, Observations, fill, on_threads, value_error};
+use crate::positions::{Start, read_started_options};
 
 /// A form of path as Python tells it: name, order, numbers.
 pub type FormArguments = (String, usize, Vec<f64>);
@@ -82,8 +82,7 @@ where
 {
     let tracks = input.tracks::<D>()?;
     let rotations = input.rotations::<D>()?;
-    let (mut parsed, threads) = read_options::<D>(options)?;
-    parsed.start = start.map(|(c, p)| Ok::<_, PyErr>((vectors(&c, "centers")?, vectors(&p, "points")?))).transpose()?;
+    let (parsed, threads) = read_started_options::<D>(options, start)?;
     let (models, model, candidates, common_frequency, free_orientations, covariance) = motion;
     let models = models.iter().map(form).collect::<PyResult<Vec<Form>>>()?;
     let candidates = candidates.iter().map(form).collect::<PyResult<Vec<Form>>>()?;

@@ -43,8 +43,7 @@ where
 {
     let tracks = input.tracks::<D>()?;
     let rotations = input.rotations::<D>()?;
-    let (mut parsed, threads) = read_options::<D>(options)?;
-    parsed.start = start.map(|(c, p)| Ok::<_, PyErr>((vectors(&c, "centers")?, vectors(&p, "points")?))).transpose()?;
+    let (parsed, threads) = read_started_options::<D>(options, start)?;
     let found = py.detach(|| on_threads(threads, || solve(&tracks, rotations.as_deref(), &parsed)))?;
     fill(py, found.map_err(value_error)?)
 }
@@ -95,8 +94,18 @@ where
     Ok(Array3::from_shape_fn((blocks.len(), D, D), |(i, r, c)| blocks[i][r][c]).into_pyarray(py))
 }
 
+/// Reads the options, and where to start from.
+pub fn read_started_options<const D: usize>(
+    options: &Bound<'_, PyDict>,
+    start: Option<Start<'_>>,
+) -> PyResult<(PositionOptions<D>, Option<usize>)> {
+    let (mut parsed, threads) = read_options(options)?;
+    parsed.start = start.map(|(c, p)| Ok::<_, PyErr>((vectors(&c, "centers")?, vectors(&p, "points")?))).transpose()?;
+    Ok((parsed, threads))
+}
+
 /// Reads the options by name; every name that is not known is an error.
-pub fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
+fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
     let mut parsed = PositionOptions::<D>::default();
     let (mut method, mut form, mut axis, mut linear_gauge) =
         ("robust".to_owned(), "joint".to_owned(), 2usize, "functional".to_owned());

@@ -39,3 +39,12 @@ impl Lists {
         &self.item
     }
 }
+
+/// The value that stands most often, the smaller of equals; negative values do not count.
+pub(crate) fn most_common(values: impl Iterator<Item = i32>) -> Option<i32> {
+    let mut counts = std::collections::BTreeMap::new();
+    for value in values.filter(|&v| v >= 0) {
+        *counts.entry(value).or_insert(0usize) += 1;
+    }
+    counts.into_iter().max_by_key(|&(value, n)| (n, std::cmp::Reverse(value))).map(|(value, _)| value)
+}

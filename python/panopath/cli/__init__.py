@@ -6,6 +6,7 @@ from panopath.cli.app import EXIT_HELP, app, main
 from panopath.cli.check import check
 from panopath.cli.demo import demo
 from panopath.cli.demo_bearings import demo_bearings
+from panopath.cli.doctor import doctor_command
 from panopath.cli.evaluate import evaluate_command
 from panopath.cli.map import map_command
 from panopath.cli.paper import paper_command
@@ -28,6 +29,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "demo-bearings": demo_bearings,
     "view": view_command,
     "paper": paper_command,
+    "doctor": doctor_command,
 }
 for _name, _command in _COMMANDS.items():
     app.command(_name, epilog=EXIT_HELP)(_command)

@@ -8,6 +8,7 @@ pub(crate) mod courses;
 pub(crate) mod determinacy;
 pub(crate) mod estimate;
 pub(crate) mod full;
+pub(crate) mod gauged;
 pub(crate) mod levenberg;
 pub(crate) mod newton;
 pub(crate) mod noise;

@@ -34,6 +34,7 @@ use crate::bundle::noise::{SIGMA_FLOOR_RAD, precisions};
 use crate::bundle::part::Lanes;
 use crate::geometry::{Rotation, Vector, norm, sub};
 use crate::least_squares::LeastSquaresError;
+use crate::lists::most_common;
 use crate::positions::{Gauge, Method, PositionOptions, place_structure, solve_positions};
 use crate::structure::{Status, Structure};
 use crate::tracks::Tracks;
@@ -736,13 +737,6 @@ fn nothing<const D: usize>(tracks: &Tracks<D>) -> Structure<D> {
             timings: Timings::default(),
         },
     }
-}
-
-/// The part that stands most often, the smaller of equals; views of none do not count.
-fn most_common(parts: impl Iterator<Item = i32>) -> Option<i32> {
-    let mut counts = std::collections::BTreeMap::new();
-    parts.filter(|&part| part >= 0).for_each(|part| *counts.entry(part).or_insert(0usize) += 1);
-    counts.into_iter().max_by_key(|&(part, n)| (n, std::cmp::Reverse(part))).map(|(part, _)| part)
 }
 
 /// Moves a scene, and all its paths, to the gauge asked for.

@@ -16,6 +16,7 @@ use crate::bundle::part::{Lanes, Part, Stations};
 use crate::bundle::reduced::{ReducedSystem, most_observed_node};
 use crate::geometry::{Rotation, Similarity, Vector};
 use crate::least_squares::LeastSquaresError;
+use crate::lists::most_common;
 use crate::tracks::Tracks;
 
 mod descent;
@@ -485,13 +486,4 @@ fn members<const D: usize>(component: &[i32], position: &[Vector<D>], n: usize) 
         }
     }
     members
-}
-
-/// The value that stands most often, the smaller of equals; negative values do not count.
-fn most_common(values: impl Iterator<Item = i32>) -> Option<i32> {
-    let mut counts = std::collections::BTreeMap::new();
-    for value in values.filter(|&v| v >= 0) {
-        *counts.entry(value).or_insert(0usize) += 1;
-    }
-    counts.into_iter().max_by_key(|&(value, n)| (n, std::cmp::Reverse(value))).map(|(value, _)| value)
 }

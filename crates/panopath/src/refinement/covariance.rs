@@ -2,10 +2,8 @@
 //!
 //! At a scene, the system with points eliminated, weighted by `1/sigma^2`, is the Fisher information `S` of the cameras. Its
 //! blocks of `S^-` on the pattern come from a selected inversion, with as many unknowns held as there are
-//! freedoms of the gauge. With `G` the basis of these and `W` the conditions that fix them, `Q = I - G (W^T G)^-1 W^T`,
-//! the covariance of the cameras is `Q S^- Q^T`: block by block, with `K = S^- W` and `A = (W^T G)^-1`,
-//! `S^-_ab - G_a A K_b^T - K_a A^T G_b^T + G_a A (W^T K) A^T G_b^T`. A point adds `A_j^-1` to what the cameras of its
-//! track pass on to it through `B = A_j^-1 M K`.
+//! freedoms of the gauge; `bundle::gauged` takes them to the gauge asked for. A point adds `A_j^-1` to what the cameras of
+//! its track pass on to it through `B = A_j^-1 M K`.
 
 use rayon::prelude::*;
 
@@ -13,6 +11,7 @@ use super::descent::State;
 use super::gauge::{Gauge, solve_small};
 use super::options::{RefineError, RefineOptions};
 use super::{Piece, check, components_of_tracks, components_of_views, without_starved};
+use crate::bundle::gauged::{Fixing, GaugedCovariance, farthest_coordinate};
 use crate::bundle::newton::{NewtonWeights, Residuals};
 use crate::bundle::noise::FitSize;
 use crate::bundle::part::{Lanes, Part};
@@ -137,7 +136,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
         if size.equations + known < size.unknowns {
             return Err(LeastSquaresError::Singular { pivot: 0 });
         }
-        let held = with_scale_held(piece, &state);
+        let held = with_scale_held::<D, V>(piece, &state);
         let mut system = ReducedSystem::<D, V, PoseRow>::analyse(part, LinearSolver::Direct, held.clone())?;
         let weights = weights(part, &state, &keep);
         let turns = turns_of(&state);
@@ -158,19 +157,39 @@ impl<const D: usize, const V: usize> Information<D, V> {
         sigma: f64,
         answer: &mut Covariances<D, V>,
     ) -> Result<(), RefineError> {
-        let projection = Projection::new(self, &piece.gauge, reference)?;
-        let blocks = self.projected_blocks(&projection);
+        let cameras = self.gauged(&piece.gauge, reference)?;
         let to_world = 1.0 / piece.piece_from_world.scale;
         for (node, &view) in piece.views.iter().enumerate() {
-            let block = &blocks[self.pattern.column(node).start];
             let to_answer = self.in_camera(node, to_world);
-            answer.cameras[view as usize] = congruent(&to_answer, block).map(|row| row.map(|x| x * sigma * sigma));
+            answer.cameras[view as usize] =
+                congruent(&to_answer, cameras.of(node)).map(|row| row.map(|x| x * sigma * sigma));
         }
-        let points = self.points(&blocks);
+        let points = self.points(&cameras);
         for (&track, point) in piece.part.input_track.iter().zip(points) {
             answer.points[track as usize] = point.map(|row| row.map(|x| x * (sigma * to_world).powi(2)));
         }
         Ok(())
+    }
+
+    /// The covariance of the cameras in the gauge asked for.
+    fn gauged(&self, gauge: &Gauge<D>, reference: Option<usize>) -> Result<GaugedCovariance<V>, RefineError> {
+        /// A condition number beyond which the centres count as lying on a line.
+        const FLAT: f64 = 1e-9;
+        let centers = &self.state.poses.centers;
+        let basis = gauge.basis::<V>(centers);
+        let with_centers_only = conditions::<D, V>(gauge, &basis, centers, reference, 0.0);
+        let (conditions, product_inverse) = match inverse_of_product(&with_centers_only, &basis, FLAT) {
+            Some(inverse) => (with_centers_only, inverse),
+            None => {
+                let with_turns = conditions::<D, V>(gauge, &basis, centers, reference, 1.0);
+                let inverse = inverse_of_product(&with_turns, &basis, FLAT).ok_or_else(|| {
+                    RefineError::Option("the views stand in one place: nothing fixes a scale".to_owned())
+                })?;
+                (with_turns, inverse)
+            }
+        };
+        let fixing = Fixing { basis: &basis, conditions: &conditions, product_inverse: &product_inverse };
+        Ok(GaugedCovariance::new(&self.pattern, &self.inverse, &self.held, &fixing)?)
     }
 
     /// Takes the unknowns `(omega, dc)` of a node to the turn in the camera and the centre in the unit of the answer.
@@ -189,27 +208,8 @@ impl<const D: usize, const V: usize> Information<D, V> {
         change
     }
 
-    /// Blocks of `Q S^- Q^T` on the pattern, in its order.
-    fn projected_blocks(&self, projection: &Projection<V>) -> Vec<[[f64; V]; V]> {
-        let columns: Vec<(usize, usize)> =
-            (0..self.pattern.n_nodes()).flat_map(|c| self.pattern.column(c).map(move |k| (c, k))).collect();
-        let block = |&(column, k): &(usize, usize)| {
-            let row = self.pattern.row[k] as usize;
-            let mut block = self.inverse.block(row, column).unwrap_or([[0.0; V]; V]);
-            for r in 0..V {
-                for c in 0..V {
-                    if self.held[row * V + r] || self.held[column * V + c] {
-                        block[r][c] = 0.0;
-                    }
-                }
-            }
-            projection.apply(row, column, block)
-        };
-        columns.par_iter().with_min_len(64).map(block).collect()
-    }
-
     /// Covariance of each point of the part, in its own unit and that of sigma.
-    fn points(&self, blocks: &[[[f64; V]; V]]) -> Vec<Matrix<D>> {
+    fn points(&self, cameras: &GaugedCovariance<V>) -> Vec<Matrix<D>> {
         let State { part, .. } = &self.state;
         let weights = weights(part, &self.state, &self.keep);
         let turns = turns_of(&self.state);
@@ -240,7 +240,7 @@ impl<const D: usize, const V: usize> Information<D, V> {
             }
             for (i, (a, rows_a)) in passed.iter().enumerate() {
                 for (b, rows_b) in &passed[..=i] {
-                    let Some(block) = self.block(blocks, *a, *b) else { continue };
+                    let Some(block) = cameras.block(*a, *b) else { continue };
                     let twice = !std::ptr::eq(rows_a, rows_b);
                     for r in 0..D {
                         let left: [f64; V] =
@@ -258,18 +258,6 @@ impl<const D: usize, const V: usize> Information<D, V> {
             covariance
         };
         tracks.par_iter().with_min_len(256).map(covariance).collect()
-    }
-
-    /// Block (a, b), transposed where the pattern holds (b, a).
-    fn block(&self, blocks: &[[[f64; V]; V]], a: usize, b: usize) -> Option<[[f64; V]; V]> {
-        let (row, column) = (a.max(b), a.min(b));
-        let range = self.pattern.column(column);
-        let k = range.start + self.pattern.row[range.clone()].partition_point(|&r| (r as usize) < row);
-        if k >= range.end || self.pattern.row[k] as usize != row {
-            return None;
-        }
-        let block = &blocks[k];
-        Some(if a >= b { *block } else { std::array::from_fn(|r| std::array::from_fn(|c| block[c][r])) })
     }
 }
 
@@ -300,23 +288,14 @@ fn turns_of<const D: usize>(state: &State<D>) -> Turns<'_, D> {
 }
 
 /// The unknowns that the piece holds, and one coordinate of the centre farthest from the pinned one where the scale is free.
-fn with_scale_held<const D: usize>(piece: &Piece<D>, state: &State<D>) -> Vec<bool> {
+fn with_scale_held<const D: usize, const V: usize>(piece: &Piece<D>, state: &State<D>) -> Vec<bool> {
     let mut held = piece.held.clone();
     if piece.gauge.scale {
         let origin = match piece.gauge.translation {
             true => state.poses.centers[most_observed_node(&state.part)].vector::<D>(),
             false => piece.gauge.origin,
         };
-        let mut farthest = (0, 0.0);
-        for (node, center) in state.poses.centers.iter().enumerate() {
-            for c in 0..D {
-                let distance = (center.0[c] - origin[c]).abs();
-                if distance > farthest.1 {
-                    farthest = (node * (turns(D) + D) + turns(D) + c, distance);
-                }
-            }
-        }
-        held[farthest.0] = true;
+        held[farthest_coordinate::<D, V>(&state.poses.centers, &origin)] = true;
     }
     held
 }
@@ -326,71 +305,6 @@ fn congruent<const V: usize>(t: &[[f64; V]; V], block: &[[f64; V]; V]) -> [[f64;
     let left: [[f64; V]; V] =
         std::array::from_fn(|r| std::array::from_fn(|c| (0..V).map(|k| t[r][k] * block[k][c]).sum()));
     std::array::from_fn(|r| std::array::from_fn(|c| (0..V).map(|k| left[r][k] * t[c][k]).sum()))
-}
-
-/// Takes a generalised inverse to the gauge asked for; see the module's text.
-struct Projection<const V: usize> {
-    /// `G A`, by rows of cameras: one column for each freedom.
-    turned: Vec<Vec<f64>>,
-    /// `K = S^- W`.
-    pushed: Vec<Vec<f64>>,
-    /// `W^T K`.
-    core: Vec<Vec<f64>>,
-}
-
-impl<const V: usize> Projection<V> {
-    fn new<const D: usize>(
-        information: &Information<D, V>,
-        gauge: &Gauge<D>,
-        reference: Option<usize>,
-    ) -> Result<Self, RefineError> {
-        /// A condition number beyond which the centres count as lying on a line.
-        const FLAT: f64 = 1e-9;
-        let centers = &information.state.poses.centers;
-        let basis = gauge.basis::<V>(centers);
-        let with_centers_only = conditions::<D, V>(gauge, &basis, centers, reference, 0.0);
-        let (conditions, inverse) = match inverse_of_product(&with_centers_only, &basis, FLAT) {
-            Some(inverse) => (with_centers_only, inverse),
-            None => {
-                let with_turns = conditions::<D, V>(gauge, &basis, centers, reference, 1.0);
-                let inverse = inverse_of_product(&with_turns, &basis, FLAT).ok_or_else(|| {
-                    RefineError::Option("the views stand in one place: nothing fixes a scale".to_owned())
-                })?;
-                (with_turns, inverse)
-            }
-        };
-        let mut pushed = conditions.clone();
-        for column in &mut pushed {
-            for (x, _) in column.iter_mut().zip(&information.held).filter(|(_, held)| **held) {
-                *x = 0.0;
-            }
-            information.inverse.solve(column, 1)?;
-        }
-        let core = conditions.iter().map(|w| pushed.iter().map(|k| inner(w, k)).collect()).collect();
-        let turned = (0..basis.len())
-            .map(|c| {
-                (0..centers.len() * V).map(|i| (0..basis.len()).map(|k| basis[k][i] * inverse[c][k]).sum()).collect()
-            })
-            .collect();
-        Ok(Self { turned, pushed, core })
-    }
-
-    /// Block (a, b) of the covariance from that of the generalised inverse.
-    fn apply(&self, a: usize, b: usize, mut block: [[f64; V]; V]) -> [[f64; V]; V] {
-        let n = self.turned.len();
-        for r in 0..V {
-            for c in 0..V {
-                let (i, j) = (a * V + r, b * V + c);
-                for k in 0..n {
-                    block[r][c] -= self.turned[k][i] * self.pushed[k][j] + self.pushed[k][i] * self.turned[k][j];
-                    for l in 0..n {
-                        block[r][c] += self.turned[k][i] * self.core[k][l] * self.turned[l][j];
-                    }
-                }
-            }
-        }
-        block
-    }
 }
 
 /// `W`: the parts of the basis that belong to centres, and those of turns with a weight; or the unknowns of one node and the
