@@ -38,6 +38,7 @@ BIAS_RAD = (0.01, 0.03, 0.1)
 BIAS_WORLDS = 4
 BIAS_REPEATS = 20
 
+_PICTURE_SIZE = (11.0, 10.0)
 _COLUMNS = (
     "status",
     "n_missing",
@@ -118,25 +119,24 @@ def _bias_table(rows: list[Bias]) -> Table:
 
 
 def _pictures(fresh: Mapping[Key, Runs], growth: Mapping[Key, Runs], bias: list[Bias]) -> dict[str, Picture]:
-    pictures = {}
-    for name, d, where in (("space", 3, "space"), ("plane", 2, "the plane")):
-        keys = [key for key in KEYS if key[0] == d]
-        biases = bias if d == 3 else []
-        pictures[name] = Picture(
-            lambda figure, keys=keys, biases=biases: draw_noise(figure, keys, fresh, growth, biases),  # type: ignore[misc]
-            f"Error of the reconstruction against the error of the angles, in {where}. Dots are trials, lines medians "
-            "over worlds that stay the same; errors after a fit by shift and scale over all views and points.",
-            11.0,
-            10.0,
-        )
-    pictures["measures"] = Picture(
-        lambda figure: draw_measures(figure, [key for key in KEYS if key[0] == 3], growth),
-        "The paper's measures of error in space, in its frame and in that of a fit, and the error of the scene filmed "
-        "again; medians over worlds that stay the same.",
-        11.0,
-        10.0,
+    space, plane = ([key for key in KEYS if key[0] == d] for d in (3, 2))
+    about = (
+        "Error of the reconstruction against the error of the angles, in {}. Dots are trials, lines medians over "
+        "worlds that stay the same; errors after a fit by shift and scale over all views and points."
     )
-    return pictures
+    measures = (
+        "The paper's measures of error in space, in its frame and in that of a fit, and the error of the scene filmed "
+        "again; medians over worlds that stay the same."
+    )
+    return {
+        "space": Picture(
+            lambda figure: draw_noise(figure, space, fresh, growth, bias), about.format("space"), *_PICTURE_SIZE
+        ),
+        "plane": Picture(
+            lambda figure: draw_noise(figure, plane, fresh, growth, []), about.format("the plane"), *_PICTURE_SIZE
+        ),
+        "measures": Picture(lambda figure: draw_measures(figure, space, growth), measures, *_PICTURE_SIZE),
+    }
 
 
 NOISE = Experiment("noise", "8", "Error of the reconstruction against the error of the angles", _run)
