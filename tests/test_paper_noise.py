@@ -197,7 +197,9 @@ def test_exponents_of_known_curves() -> None:
     values = np.array([errors * rates, errors**2 * rates, np.full(6, np.nan)]).T
     columns = {"all_max": values, "all_rms": values}
     ones = np.ones(6, int)
-    runs = Runs(Trials(3, ones, ones, ones, errors, ("paper", "linear", "robust"), columns), errors)
+    runs = Runs(
+        Trials(3, ones, ones, ones, errors, ("paper", "linear", "robust"), columns), errors, np.array([3.0, 1.0] * 3)
+    )
     assert np.allclose(runs.slopes("paper", "all_max"), 1.0)
     assert np.allclose(runs.slopes("linear", "all_max"), 2.0)
     assert runs.linear_until_rad("paper", "all_max") == 0.04
@@ -205,12 +207,20 @@ def test_exponents_of_known_curves() -> None:
     assert np.isnan(runs.linear_until_rad("robust", "all_max"))
     assert runs.exponent("linear", "all_max") == pytest.approx(2.0)
     assert np.isnan(runs.exponent("robust", "all_max"))
+    assert np.isnan(runs.unit_correlation("robust"))
     assert runs.over_bound("paper") == pytest.approx(2.0)
     counts = np.arange(1.0, 31.0)
     assert exponent(counts**-0.5) == pytest.approx(-0.5)
     assert np.isnan(exponent(np.ones(5)))
     in_points, in_views, both = exponents(counts[:, None] ** -1.0 * counts[None] ** 0.25)
     assert (in_points, in_views, both) == pytest.approx((0.25, -1.0, -0.75))
+
+
+def test_error_that_falls_with_the_unit() -> None:
+    unit = np.array([0.1, 2.0, 0.7, 1.3])
+    trials = Trials(3, *[np.ones(4, int)] * 3, np.full(4, 0.02), ("paper",), {"all_max": (0.01 / unit)[:, None]})
+    assert Runs(trials, unit, unit).unit_correlation("paper") == pytest.approx(-1.0)
+    assert Runs(trials, unit, -unit).unit_correlation("paper") == pytest.approx(1.0)
 
 
 def test_statistics_pass_over_what_is_not_there() -> None:

@@ -84,25 +84,31 @@ def _run(settings: Settings, progress: Progress) -> Outcome:
 def _runs(key: Key, seeds: Int64, errors: Float, threads: int) -> Runs:
     d, m, n = key
     trials = run_trials(d, m, n, seeds, errors, threads=threads)
-    unit = {seed: _bound(key, seed) for seed in np.unique(seeds).tolist()}
+    known = {seed: _bound_and_unit(key, seed) for seed in np.unique(seeds).tolist()}
+    bound, unit = np.array([known[seed] for seed in seeds.tolist()]).T
     # a uniform error has the variance eps^2 / 3
-    bound = errors / np.sqrt(3.0) * np.array([unit[seed] for seed in seeds.tolist()])
-    return Runs(trials, read_only(bound))
+    return Runs(trials, read_only(errors / np.sqrt(3.0) * bound), read_only(unit.copy()))
 
 
-def _bound(key: Key, seed: int) -> float:
-    """Least rms error over all views and points, for angles with a standard deviation of one radian."""
+def _bound_and_unit(key: Key, seed: int) -> tuple[float, float]:
+    """Least rms error, for angles with a standard deviation of one radian; and the unit of the paper's frame."""
     d, m, n = key
     world = simulate("box", n_views=m, n_points=n, seed=seed, dimension=3 if d == 3 else 2)
-    return float(np.sqrt(angle_bound(world.centers, world.points).mean()))
+    variance = angle_bound(world.centers, world.points)
+    return float(np.sqrt(variance.mean())), float(abs(world.points[1, 0] - world.points[0, 0]))
 
 
 def _table(runs: Mapping[Key, Runs]) -> Table:
     columns: dict[str, list[Any]] = {}
     for one in runs.values():
-        for name, column in (one.trials.rows(_COLUMNS) | {"bound_all_rms": one.bound_rms.tolist()}).items():
+        for name, column in _columns(one).items():
             columns.setdefault(name, []).extend(column)
     return Table(columns)
+
+
+def _columns(one: Runs) -> dict[str, list[Any]]:
+    added = {"bound_all_rms": one.bound_rms.tolist(), "paper_unit": one.paper_unit.tolist()}
+    return one.trials.rows(_COLUMNS) | added
 
 
 def _bias_table(rows: list[Bias]) -> Table:

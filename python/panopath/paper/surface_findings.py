@@ -128,7 +128,7 @@ def _averages(surfaces: Mapping[str, Surface]) -> Statement:
         "The average over 30 worlds shows the error for each size.",
         f"Average over median of the worlds of a size, sizes from {FIT_FROM} x {FIT_FROM}, median and largest, "
         + _each(surfaces, lambda surface: f"{median(ratio(surface)):.2f} and {largest(ratio(surface)):.3g}")
-        + " Where it is far above one, a few nearly degenerate worlds are what the average shows.",
+        + " Where it is far above one the average shows a few worlds: those whose first two points hardly differ in x.",
         _verdict([median(ratio(surface)) < 1.2 for surface in surfaces.values()]),
     )
 
