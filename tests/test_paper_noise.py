@@ -217,8 +217,8 @@ def test_exponents_of_known_curves() -> None:
 
 
 def test_error_that_falls_with_the_unit() -> None:
-    unit = np.array([0.1, 2.0, 0.7, 1.3])
-    trials = Trials(3, *[np.ones(4, int)] * 3, np.full(4, 0.02), ("paper",), {"all_max": (0.01 / unit)[:, None]})
+    unit, ones = np.array([0.1, 2.0, 0.7, 1.3]), np.ones(4, int)
+    trials = Trials(3, ones, ones, ones, np.full(4, 0.02), ("paper",), {"all_max": (0.01 / unit)[:, None]})
     assert Runs(trials, unit, unit).unit_correlation("paper") == pytest.approx(-1.0)
     assert Runs(trials, unit, -unit).unit_correlation("paper") == pytest.approx(1.0)
 
