@@ -185,7 +185,7 @@ def test_our_solver_reaches_the_bound_in_the_plane() -> None:
     ratios = {s: rms(trials.of(s, "all_rms") * np.sqrt(32) / bound) for s in SOLVERS}
     assert ratios["robust"] == pytest.approx(1.0, abs=0.05)
     assert ratios["linear"] > 1.1
-    assert ratios["paper"] > 1.1
+    assert ratios["printed"] > 1.1
 
 
 # ---- findings
@@ -198,17 +198,17 @@ def test_exponents_of_known_curves() -> None:
     columns = {"all_max": values, "all_rms": values}
     ones = np.ones(6, int)
     runs = Runs(
-        Trials(3, ones, ones, ones, errors, ("paper", "linear", "robust"), columns), errors, np.array([3.0, 1.0] * 3)
+        Trials(3, ones, ones, ones, errors, ("printed", "linear", "robust"), columns), errors, np.array([3.0, 1.0] * 3)
     )
-    assert np.allclose(runs.slopes("paper", "all_max"), 1.0)
+    assert np.allclose(runs.slopes("printed", "all_max"), 1.0)
     assert np.allclose(runs.slopes("linear", "all_max"), 2.0)
-    assert runs.linear_until_rad("paper", "all_max") == 0.04
+    assert runs.linear_until_rad("printed", "all_max") == 0.04
     assert runs.linear_until_rad("linear", "all_max") == 0.01
     assert np.isnan(runs.linear_until_rad("robust", "all_max"))
     assert runs.exponent("linear", "all_max") == pytest.approx(2.0)
     assert np.isnan(runs.exponent("robust", "all_max"))
     assert np.isnan(runs.unit_correlation("robust"))
-    assert runs.over_bound("paper") == pytest.approx(2.0)
+    assert runs.over_bound("printed") == pytest.approx(2.0)
     counts = np.arange(1.0, 31.0)
     assert exponent(counts**-0.5) == pytest.approx(-0.5)
     assert np.isnan(exponent(np.ones(5)))
@@ -218,9 +218,9 @@ def test_exponents_of_known_curves() -> None:
 
 def test_error_that_falls_with_the_unit() -> None:
     unit, ones = np.array([0.1, 2.0, 0.7, 1.3]), np.ones(4, int)
-    trials = Trials(3, ones, ones, ones, np.full(4, 0.02), ("paper",), {"all_max": (0.01 / unit)[:, None]})
-    assert Runs(trials, unit, unit).unit_correlation("paper") == pytest.approx(-1.0)
-    assert Runs(trials, unit, -unit).unit_correlation("paper") == pytest.approx(1.0)
+    trials = Trials(3, ones, ones, ones, np.full(4, 0.02), ("printed",), {"all_max": (0.01 / unit)[:, None]})
+    assert Runs(trials, unit, unit).unit_correlation("printed") == pytest.approx(-1.0)
+    assert Runs(trials, unit, -unit).unit_correlation("printed") == pytest.approx(1.0)
 
 
 def test_statistics_pass_over_what_is_not_there() -> None:
@@ -241,9 +241,9 @@ def test_statements_follow_the_surface() -> None:
         values = 0.01 * cells[..., None] * noise_of
         return Surface(values, values / n[..., None], values, np.full_like(values, 0.01), np.ones(values.shape, bool))
 
-    agreeing = surface_statements({"paper": made(decay * m**0.5)}, 0.01)
+    agreeing = surface_statements({"printed": made(decay * m**0.5)}, 0.01)
     assert [one.verdict for one in agreeing] == [Verdict.AGREES] * 6
-    other = surface_statements({"paper": made(np.ones_like(m))}, 0.01)
+    other = surface_statements({"printed": made(np.ones_like(m))}, 0.01)
     verdicts = {one.claim.split(",")[0]: one.verdict for one in other}
     assert verdicts["A sharp decay for small n and m"] is Verdict.CORRECTED
     assert verdicts["Beyond the decay the error grows"] is Verdict.CORRECTED
@@ -252,7 +252,7 @@ def test_statements_follow_the_surface() -> None:
 def test_the_printed_gauge_is_biased() -> None:
     found = noise_bias.measure_bias([(8, 20)], [0.1], 3, 8, seed=1, threads=1)
     share = {one.solver: one.share for one in found}
-    assert share["paper"] > 0.5
+    assert share["printed"] > 0.5
     assert share["robust"] < 0.3
     assert all(one.rms > 0.0 for one in found)
 
@@ -313,7 +313,7 @@ def test_surface_counts_what_has_no_answer(tmp_path: Path) -> None:
         single = "1" in (size["views"], size["points"])
         assert (size["max_mean"] == "nan") == single
         # in two stages two views, or two points, have no plan: an answer is one of many, or none
-        if single or size["solver"] != "paper":
+        if single or size["solver"] != "printed":
             assert int(size["with_answer"]) == (0 if single else 3), size
 
 

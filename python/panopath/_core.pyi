@@ -120,9 +120,7 @@ def refine(
 ) -> dict[str, Any]: ...
 def run_trials(
     dimension: int,
-    trials: tuple[
-        npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float64]
-    ],
+    trials: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float64]],
     methods: list[dict[str, Any]],
     threads: int | None,
 ) -> dict[str, Any]: ...

@@ -147,7 +147,7 @@ def _exact(fresh: _Runs) -> Statement:
 
 
 def _corollary(growth: _Runs, fresh: _Runs) -> Statement:
-    held = [runs.unit_correlation("paper") for runs in fresh.values()]
+    held = [runs.unit_correlation("printed") for runs in fresh.values()]
     free = [runs.unit_correlation("robust") for runs in fresh.values()]
     until = {s: [runs.linear_until_rad(s, "all_max") for runs in growth.values()] for s in SOLVERS}
     slopes = {s: np.array([runs.slopes(s, "all_max") for runs in growth.values()]) for s in SOLVERS}
@@ -215,7 +215,7 @@ def _through_the_data(bias: Sequence[Bias]) -> Statement:
         "The reconstruction is (A^T A)^-1 A^T b, so that errors of the data pass through a fixed matrix.",
         "The angles are in A, not in b, and what is not linear in them does not average out. Bias, as a share of the "
         f"rms error, in space, {_each_solver(tell)}",
-        Verdict.CORRECTED if not small["paper"] else _verdict(small),
+        Verdict.CORRECTED if not small["printed"] else _verdict(small),
     )
 
 

@@ -11,7 +11,7 @@ from panopath.paper.noise_bias import Bias
 from panopath.paper.noise_findings import Key, Runs
 from panopath.paper.trials import SOLVER_NAMES, SOLVERS
 
-COLOURS = {"paper": "#c2571a", "linear": "#7a3f98", "robust": "#1f5fa8"}
+COLOURS = {"printed": "#c2571a", "linear": "#7a3f98", "robust": "#1f5fa8"}
 _DOT = {"linestyle": "none", "marker": ".", "markersize": 3.5, "markeredgewidth": 0, "alpha": 0.35}
 _BOUND = {"color": "#111111", "linestyle": "--", "linewidth": 1.3}
 #: Errors far below any noise are not drawn: they are those of exact data.

@@ -22,11 +22,11 @@ from panopath.model import Float, PositionOptions, read_only
 
 Int64 = npt.NDArray[np.int64]
 
-#: The paper's algorithm as it is printed; the same equations with all coordinates at once and a gauge that prefers no
-#: point; and the default.
+#: The paper's algorithm as it is printed (in the plane there is one stage); the same equations, all coordinates at once,
+#: under a gauge that prefers no point; and the default.
 SOLVERS: Mapping[str, PositionOptions] = MappingProxyType(
     {
-        "paper": PositionOptions(method="linear", linear_form="two_stage", linear_gauge="paper"),
+        "printed": PositionOptions(method="linear", linear_form="two_stage", linear_gauge="paper"),
         "linear": PositionOptions(method="linear"),
         "robust": PositionOptions(),
     }
@@ -34,7 +34,7 @@ SOLVERS: Mapping[str, PositionOptions] = MappingProxyType(
 #: How each is called in statements and pictures.
 SOLVER_NAMES: Mapping[str, str] = MappingProxyType(
     {
-        "paper": "linear as printed (two stages, x2 = 1)",
+        "printed": "linear as printed (two stages, x2 = 1)",
         "linear": "linear, joint, no point preferred",
         "robust": "robust (angular optimum)",
     }
