@@ -22,7 +22,7 @@ from panopath.model import Float, PositionOptions, read_only
 
 Int64 = npt.NDArray[np.int64]
 
-#: The paper's algorithm as it is printed (the plane has one stage); the same equations, all coordinates at once, under a
+#: The paper's algorithm as printed (the plane has one stage); the same equations, all coordinates at once, under a
 #: gauge that prefers no point; and the default.
 SOLVERS: Mapping[str, PositionOptions] = MappingProxyType(
     {
