@@ -40,6 +40,7 @@ __all__ = [
     "refine",
     "relative_poses",
     "render_walk",
+    "run_trials",
     "scene_covariance",
     "simulate",
     "solve_paths",
@@ -116,6 +117,12 @@ def refine(
     cam_from_world: npt.NDArray[np.float64] | None,
     start: _Start,
     options: Mapping[str, Any],
+) -> dict[str, Any]: ...
+def run_trials(
+    dimension: int,
+    trials: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float64]],
+    methods: list[dict[str, Any]],
+    threads: int | None,
 ) -> dict[str, Any]: ...
 def view_pairs(
     observations: _Observations,

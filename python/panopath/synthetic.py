@@ -135,6 +135,7 @@ def simulate(
     seed: int = 0,
     dimension: Literal[2, 3] | None = None,
     noise_rad: float = 0.0,
+    angle_error_rad: float = 0.0,
     outlier_fraction: float = 0.0,
     mover_fraction: float = 0.0,
     mover_speed_m_s: float = 1.5,
@@ -177,6 +178,9 @@ def simulate(
         2 for the plane, 3 for space; ``ellipse`` is planar and ``cylinder`` spatial, the others default to 3.
     noise_rad
         Standard deviation of a bearing along each tangent direction of the sphere.
+    angle_error_rad
+        Azimuth and elevation of every bearing are each off by an error uniform between this and its negative (in the
+        plane the one angle), as in Knill and Ramirez-Herran's experiments.
     outlier_fraction
         Probability with which a bearing is replaced by a uniformly random direction.
     mover_fraction, mover_speed_m_s

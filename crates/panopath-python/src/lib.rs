@@ -18,6 +18,7 @@ mod rigidity;
 mod sphere;
 mod synthetic;
 mod table;
+mod trials;
 mod two_view;
 mod view_graph;
 mod walk;
@@ -41,6 +42,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     sphere::register(module)?;
     synthetic::register(module)?;
     table::register(module)?;
+    trials::register(module)?;
     view_graph::register(module)?;
     walk::register(module)?;
     two_view::register(module)

@@ -105,7 +105,7 @@ pub fn read_started_options<const D: usize>(
 }
 
 /// Reads the options by name; every name that is not known is an error.
-fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
+pub fn read_options<const D: usize>(options: &Bound<'_, PyDict>) -> PyResult<(PositionOptions<D>, Option<usize>)> {
     let mut parsed = PositionOptions::<D>::default();
     let (mut method, mut form, mut axis, mut linear_gauge) =
         ("robust".to_owned(), "joint".to_owned(), 2usize, "functional".to_owned());

@@ -12,11 +12,12 @@ use pyo3::types::PyDict;
 use crate::convert::{heading, value_error};
 
 /// Every option by name, `dimension` aside; the order in which they are documented.
-const OPTION_NAMES: [&str; 29] = [
+const OPTION_NAMES: [&str; 30] = [
     "n_views",
     "n_points",
     "seed",
     "noise_rad",
+    "angle_error_rad",
     "outlier_fraction",
     "mover_fraction",
     "mover_speed_m_s",
@@ -84,6 +85,7 @@ fn set_option(o: &mut WorldOptions, name: &str, value: &Bound<'_, PyAny>) -> PyR
         "n_points" => o.n_points = read(name, value, count)?,
         "seed" => o.seed = read(name, value, count)?,
         "noise_rad" => o.noise_rad = read(name, value, number)?,
+        "angle_error_rad" => o.angle_error_rad = read(name, value, number)?,
         "outlier_fraction" => o.outlier_fraction = read(name, value, number)?,
         "mover_fraction" => o.mover_fraction = read(name, value, number)?,
         "mover_speed_m_s" => o.mover_speed_m_s = read(name, value, number)?,

@@ -7,7 +7,8 @@
 //! [`positions`] finds, from bearings of known orientation, the camera centres and the points, says which observations
 //! agree and which parts share a scale; [`refinement`] adjusts orientations, centres and points together and says how
 //! well all are known; [`structure`] is what both answer. [`synthetic`] makes worlds with exact truth to test all of it
-//! on. [`geometry`] and [`least_squares`] serve the others; [`machine`] tells what the processor offers.
+//! on, and [`trials`] runs many of them. [`geometry`] and [`least_squares`] serve the others; [`machine`] tells what the
+//! processor offers.
 //!
 //! An observation of point `x` by a view with centre `c` and orientation `cam_from_world` is the unit vector
 //! `cam_from_world (x - c) / |x - c|`, in the plane (`D = 2`) or in space (`D = 3`). Scenes are known up to translation and
@@ -35,6 +36,7 @@ pub mod sphere;
 pub mod structure;
 pub mod synthetic;
 pub mod tracks;
+pub mod trials;
 pub mod two_view;
 pub mod view_graph;
 

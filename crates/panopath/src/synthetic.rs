@@ -2,7 +2,8 @@
 //!
 //! An observation of point `X` by a view at `C` is the unit vector
 //! `bearing = exp(noise) * cam_from_world * (X - C) / |X - C|`,
-//! where `exp` is the exponential map of the sphere and `noise` an isotropic Gaussian of its tangent plane. A world is
+//! where `exp` is the exponential map of the sphere and `noise` an isotropic Gaussian of its tangent plane. Or the angles
+//! of the camera are off, each by an error of its own, as in Knill & Ramirez-Herran's experiments. A world is
 //! laid out (`layout`: path, points, who sees whom) and then measured (`measure`: orientation, noise, outliers). Each
 //! of these draws from a stream of its own, so that the same seed with more noise is the same scene seen worse. Cars and
 //! people move through a world where that is asked for (`bodies`).
@@ -205,6 +206,9 @@ pub struct WorldOptions {
     pub seed: u64,
     /// Standard deviation of a bearing along each tangent direction: 0.
     pub noise_rad: f64,
+    /// Azimuth and elevation of every bearing are each off by an error uniform in `[-angle_error_rad, angle_error_rad]`: 0.
+    /// In the plane there is the one angle. Near the poles an azimuth tells less, so this is no isotropic noise.
+    pub angle_error_rad: f64,
     /// Probability with which a bearing is replaced by a uniformly random direction: 0.
     pub outlier_fraction: f64,
     /// Share of the tracks that ride on bodies moving through the scene: 0.
@@ -264,6 +268,7 @@ impl Default for WorldOptions {
             n_points: 1000,
             seed: 0,
             noise_rad: 0.0,
+            angle_error_rad: 0.0,
             outlier_fraction: 0.0,
             mover_fraction: 0.0,
             mover_speed_m_s: 1.5,
@@ -451,6 +456,7 @@ fn check_ranges(o: &WorldOptions) -> Result<(), WorldError> {
     require("mover_fraction + operator_fraction", both, both <= 1.0, "at most 1")?;
     let not_negative = [
         ("noise_rad", o.noise_rad),
+        ("angle_error_rad", o.angle_error_rad),
         ("orientation_error_rad", o.orientation_error_rad),
         ("mover_speed_m_s", o.mover_speed_m_s),
         ("wobble_m", o.wobble_m.unwrap_or(0.0)),

@@ -477,6 +477,28 @@ fn orientation_error_turns_what_is_returned_only() {
 }
 
 #[test]
+fn angle_errors_are_uniform_in_each_angle() {
+    let o = options(40, 200);
+    let exact = simulate::<3>(WorldKind::Box, &o).unwrap();
+    let off = simulate::<3>(WorldKind::Box, &WorldOptions { angle_error_rad: 0.02, ..o.clone() }).unwrap();
+    assert_eq!((&exact.centers, &exact.points), (&off.centers, &off.points));
+    let angles = |v: &[f64; 3]| [v[1].atan2(v[0]), v[2].clamp(-1.0, 1.0).asin()];
+    let pairs = exact.tracks.bearing().iter().zip(off.tracks.bearing()).map(|(a, b)| (angles(a), angles(b)));
+    // a bearing near a pole may go over it, and leaves by the other side
+    let away = pairs.filter(|(a, _)| a[1].abs() < 1.5);
+    let errors: Vec<[f64; 2]> = away
+        .map(|(a, b)| [0, 1].map(|k| b[k] - a[k]))
+        .map(|[theta, phi]| [theta - std::f64::consts::TAU * (theta / std::f64::consts::TAU).round(), phi])
+        .collect();
+    for k in 0..2 {
+        assert!(errors.iter().all(|e| e[k].abs() < 0.02 + 1e-9));
+        let variance = mean(errors.iter().map(|e| e[k] * e[k]));
+        assert!((variance / (0.02_f64.powi(2) / 3.0) - 1.0).abs() < 0.06, "{variance}");
+    }
+    assert!(mean(errors.iter().map(|e| e[0] * e[1])).abs() < 0.05 * 0.02_f64.powi(2));
+}
+
+#[test]
 fn random_orientations_are_uniform() {
     let o = WorldOptions { orientations: Orientations::Random, ..options(20_000, 1) };
     let world = simulate::<3>(WorldKind::Box, &WorldOptions { max_views: Some(2), ..o }).unwrap();

@@ -25,6 +25,7 @@ pub(super) enum Stream {
     Noise,
     Outliers,
     Bodies,
+    Angles,
 }
 
 pub(super) fn stream(seed: u64, which: Stream) -> ChaCha8Rng {
@@ -62,6 +63,7 @@ pub(super) fn measure<const D: usize>(
     let mut bearing = Vec::with_capacity(n_observations);
     let mut outlier = Vec::with_capacity(n_observations);
     let mut noise = stream(o.seed, Stream::Noise);
+    let mut angles = stream(o.seed, Stream::Angles);
     let mut wrong = stream(o.seed, Stream::Outliers);
     for (j, motion) in motion.iter().enumerate() {
         for &view in &layout.seen[layout.first[j]..layout.first[j + 1]] {
@@ -79,6 +81,9 @@ pub(super) fn measure<const D: usize>(
             let mut measured = normalized(&seen);
             if o.noise_rad > 0.0 {
                 measured = disturb(&measured, o.noise_rad, &mut noise);
+            }
+            if o.angle_error_rad > 0.0 {
+                measured = displace_angles(&measured, o.angle_error_rad, &mut angles);
             }
             let mut is_outlier = is_false(motion);
             if o.outlier_fraction > 0.0 {
@@ -186,6 +191,15 @@ fn disturb<const D: usize>(bearing: &Vector<D>, deviation_rad: f64, rng: &mut Ch
     }
     let (sin, cos) = angle_rad.sin_cos();
     normalized(&add(&scale(cos, bearing), &scale(sin / angle_rad, &tangent)))
+}
+
+/// Adds uniform errors to the angles of a spherical camera, or to the one of a circular camera.
+fn displace_angles<const D: usize>(bearing: &Vector<D>, most_rad: f64, rng: &mut ChaCha8Rng) -> Vector<D> {
+    let mut error = || most_rad * rng.random_range(-1.0..1.0);
+    let theta_rad = bearing[1].atan2(bearing[0]) + error();
+    // in the plane no second error is drawn
+    let phi_rad = if D == 2 { 0.0 } else { bearing[D - 1].atan2(bearing[0].hypot(bearing[1])) + error() };
+    direction(theta_rad, phi_rad)
 }
 
 fn true_orientations<const D: usize>(o: &WorldOptions) -> Vec<Rotation<D>> {
