@@ -21,7 +21,8 @@ from panopath.model import Float, PositionOptions
 from panopath.paper.experiment import Experiment, Outcome, Picture, Progress, Settings, Statement, Table, Verdict
 from panopath.paper.generic_rank import extra_freedoms
 from panopath.paper.moving_scenes import FORMS, MovingScene, draw_hidden, draw_moving
-from panopath.paper.scenes import rms, slope
+from panopath.paper.scenes import slope
+from panopath.paper.trials import rms
 from panopath.paths import Motion, PathModel, Static
 from panopath.steps.freedoms import FreedomOptions, certify_paths
 from panopath.steps.positions import solve_positions
@@ -99,7 +100,8 @@ def _noise_table(settings: Settings, trials: int) -> Table:
                 scene = exact.noisy(noise, errors) if noise else exact
                 found = (_WAYS[1], *_errors(scene, settings.threads))
                 rows.append((d, form, mix, trial, noise, *found))
-            linear = rms(_fitted(exact.linear_centers(), exact.centers) - exact.centers)
+            off = _fitted(exact.linear_centers(), exact.centers) - exact.centers
+            linear = rms(np.linalg.norm(off, axis=1))
             rows.append((d, form, mix, trial, 0.0, _WAYS[0], linear, np.nan))
     return Table.of(("dimension", "form", "mix", "trial", "noise_rad", "way", "view_rms", "body_rms"), rows)
 

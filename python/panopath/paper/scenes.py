@@ -89,13 +89,6 @@ def nullity(matrix: Float) -> int:
     return int(matrix.shape[1] - (values > _ZERO * values[0]).sum())
 
 
-def rms(errors: Float) -> float:
-    """Root mean square of the lengths of rows (N, d), or of numbers (N,); NaN are left out."""
-    squares = np.square(errors).reshape(len(errors), -1).sum(axis=1)
-    known = squares[np.isfinite(squares)]
-    return float(np.sqrt(known.mean())) if len(known) else float("nan")
-
-
 def slope(x: Float, y: Float) -> float:
     """Exponent of a power law through positive values: the slope between logarithms, by least squares."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
