@@ -27,7 +27,7 @@ from panopath.paths import Motion, PathModel, Static
 from panopath.steps.freedoms import FreedomOptions, certify_paths
 from panopath.steps.positions import solve_positions
 
-_TRIALS = 10
+_TRIALS = 6
 #: Views of scenes that are solved.
 _N_VIEWS = 30
 #: Noise of a bearing along each tangent direction, radians; 0: exact.
