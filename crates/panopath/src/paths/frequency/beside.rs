@@ -217,6 +217,10 @@ pub(super) fn frequency_of(group: &[(&Beside, usize)]) -> Option<f64> {
     };
     let mut best: Option<(f64, f64, usize)> = None;
     for order in 1..=highest {
+        // with as many harmonics the one that was best may do as well
+        if let Some((least, omega, _)) = &mut best {
+            *least = least.min(refined(*omega, order).0);
+        }
         let fractions = low.iter().take(if order == 1 { low.len() } else { TRIED });
         let tried: Vec<f64> = fractions.flat_map(|w| (1..=order).map(move |part| w / part as f64)).collect();
         let found: Vec<(f64, f64)> = tried.into_par_iter().map(|omega| refined(omega, order)).collect();
