@@ -13,8 +13,8 @@ use std::f64::consts::PI;
 use rayon::prelude::*;
 
 use super::basis::Form;
-use super::track::{Sightings, fit};
-use super::{Input, select};
+use super::track::{Fit, Sightings, fit};
+use super::{Found, Input, select};
 use crate::bundle::noise::SIGMA_FLOOR_RAD;
 use crate::structure::Structure;
 use beside::{Beside, frequency_of};
@@ -32,6 +32,13 @@ const FIRST_SHARE: f64 = 0.5;
 /// Noise that the scan allows for, radians, so that frequencies nearby show; and the closer look.
 const COARSE_RAD: f64 = 0.02;
 const FINE_RAD: f64 = 0.002;
+/// Multiples of a frequency that are looked at once cameras are known, and divisions of each golden section.
+const AGAIN: [f64; 6] = [1.0 / 3.0, 0.5, 2.0 / 3.0, 1.5, 2.0, 3.0];
+const AGAIN_DIVISIONS: usize = 18;
+/// Share of a track's observations that a frequency is given up below.
+const LOST_SHARE: f64 = 0.25;
+/// Squared costs are much less by this factor.
+const MUCH: f64 = 25.0;
 /// Share of the coarse step that the closer look goes over.
 const FINE_REACH: f64 = 0.125;
 
@@ -51,13 +58,7 @@ impl<const D: usize> Input<'_, D> {
         let moves = |(_, seen): &(usize, Sightings)| seen.len() > 2 && !select::is_at_rest::<D>(seen, sigma);
         let seen: Vec<(usize, Sightings)> = seen.into_iter().filter(moves).collect();
         let cost = |(track, seen): &(usize, Sightings), omega: f64, noise: f64| {
-            let noise = noise.max(sigma);
-            let floor = seen.len() as f64 * sigma * sigma;
-            let form = self.forms[*track].as_ref().map(|form| with_frequency(form, omega));
-            let found = form.and_then(|form| fit::<D>(seen, &form, noise));
-            // as much as outliers everywhere
-            let lost = 25.0 * seen.len() as f64;
-            floor + noise * noise * found.map_or(lost, |fit| fit.cost)
+            self.forms[*track].as_ref().map_or(f64::INFINITY, |form| cost::<D>(seen, form, omega, noise, sigma))
         };
         let order = |track: usize| self.forms[track].as_ref().map_or(1, Form::len) / 2;
         let search = |group: &[(usize, Sightings)]| {
@@ -110,11 +111,78 @@ impl<const D: usize> Input<'_, D> {
         self.fill_in(&found);
     }
 
+    /// Looks at frequencies again that were found without cameras, now that these are known: does a multiple or a fraction
+    /// fit better? True where one does, and the path is that one's.
+    pub(super) fn look_again(&self, found: &mut Found<D>) -> bool {
+        if self.motion.common_frequency || found.structure.summary.n_components != 1 {
+            return false;
+        }
+        let sigma = found.structure.summary.sigma_rad.max(SIGMA_FLOOR_RAD);
+        let sought = |t: &usize| self.motion.forms[*t].as_ref().is_some_and(|form| !has_frequency(form));
+        let again = |t: usize| -> Option<(usize, Option<Fit>)> {
+            let Form::Fourier { omega_rad_s, .. } = found.fits[t].as_ref()?.form else { return None };
+            let form = self.motion.forms[t].as_ref()?;
+            let (seen, _) = self.sightings_turned(&found.structure, t);
+            let (first, last) = seen.span();
+            let reach = PI / (4.0 * (last - first));
+            let near = |omega: f64| {
+                golden(omega - reach, omega + reach, AGAIN_DIVISIONS, &|w| cost::<D>(&seen, form, w, FINE_RAD, sigma))
+            };
+            let tried = AGAIN.into_par_iter().map(|share| share * omega_rad_s);
+            // more than a turn: less of one fits whatever is smooth
+            let minima: Vec<(f64, f64)> = tried.filter(|omega| *omega > 8.0 * reach).map(near).collect();
+            let present = near(omega_rad_s).0;
+            let path = |omega: f64| fit::<D>(&seen, &with_frequency(form, omega), FINE_RAD.max(sigma));
+            let share =
+                |omega: f64| path(omega).map_or(0.0, |fit| first_share(fit.vectors.iter().map(|p| p.dot::<D>(p))));
+            // a multiple must go by its first harmonic; cameras lean on what was found, so others must do much better
+            let is_better = |(cost, omega): &(f64, f64)| {
+                *cost <= present / MUCH
+                    || *omega > omega_rad_s && *cost <= NEARLY * present && share(*omega) > FIRST_SHARE
+            };
+            let minima: Vec<(f64, f64)> = minima.into_iter().filter(is_better).collect();
+            let omega = chosen(&minima, share)?;
+            let is_another = (omega - omega_rad_s).abs() > 2.0 * reach;
+            is_another.then(|| (t, fit::<D>(&seen, &with_frequency(form, omega), sigma).or_else(|| path(omega))))
+        };
+        let other: Vec<(usize, Option<Fit>)> = (0..self.forms.len()).filter(sought).filter_map(again).collect();
+        let is_any = !other.is_empty();
+        other.into_iter().for_each(|(t, fit)| found.fits[t] = fit);
+        is_any
+    }
+
+    /// Gives up the frequencies of tracks that hardly anything agrees with now that cameras are known, and looks for others
+    /// there. True where any is found.
+    pub(super) fn find_lost(&mut self, found: &mut Found<D>) -> bool {
+        let sought = |t: &usize| self.motion.forms[*t].as_ref().is_some_and(|form| !has_frequency(form));
+        let is_lost = |fit: &Fit| (fit.n_kept() as f64) < LOST_SHARE * fit.keep.len() as f64;
+        let lost: Vec<usize> =
+            (0..self.forms.len()).filter(sought).filter(|&t| found.fits[t].as_ref().is_none_or(is_lost)).collect();
+        if lost.is_empty() || self.motion.common_frequency {
+            return false;
+        }
+        for &t in &lost {
+            self.forms[t] = self.motion.forms[t].clone();
+        }
+        self.find_what_is_left(found);
+        lost.iter().any(|&t| found.fits[t].is_some())
+    }
+
     fn fill_in(&mut self, found: &[(usize, f64)]) {
         for &(track, omega) in found {
             self.forms[track] = self.forms[track].as_ref().map(|form| with_frequency(form, omega));
         }
     }
+}
+
+/// Squared errors of the best path of a frequency, in radians squared, where the noise is taken to be at least `noise`.
+fn cost<const D: usize>(seen: &Sightings, form: &Form, omega: f64, noise: f64, sigma: f64) -> f64 {
+    let noise = noise.max(sigma);
+    let floor = seen.len() as f64 * sigma * sigma;
+    let found = fit::<D>(seen, &with_frequency(form, omega), noise);
+    // as much as outliers everywhere
+    let lost = 25.0 * seen.len() as f64;
+    floor + noise * noise * found.map_or(lost, |fit| fit.cost)
 }
 
 /// Is a form one whose frequency is known, or that has none?

@@ -222,7 +222,8 @@ pub(super) fn frequency_of(group: &[(&Beside, usize)]) -> Option<f64> {
             *least = least.min(refined(*omega, order).0);
         }
         let fractions = low.iter().take(if order == 1 { low.len() } else { TRIED });
-        let tried: Vec<f64> = fractions.flat_map(|w| (1..=order).map(move |part| w / part as f64)).collect();
+        let tried = fractions.flat_map(|w| (1..=order).map(move |part| w / part as f64));
+        let tried: Vec<f64> = tried.filter(|omega| *omega >= grid.first).collect();
         let found: Vec<(f64, f64)> = tried.into_par_iter().map(|omega| refined(omega, order)).collect();
         let believed = found.into_iter().filter(|(_, omega)| told(*omega, order).1);
         let Some((score, omega)) = believed.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
