@@ -135,10 +135,14 @@ impl<const D: usize> Input<'_, D> {
             let path = |omega: f64| fit::<D>(&seen, &with_frequency(form, omega), FINE_RAD.max(sigma));
             let share =
                 |omega: f64| path(omega).map_or(0.0, |fit| first_share(fit.vectors.iter().map(|p| p.dot::<D>(p))));
-            // a multiple must go by its first harmonic; cameras lean on what was found, so others must do much better
+            // a multiple must go by its first harmonic where this one does not; cameras lean on what was found, so others must do much better
+            let goes_by_higher = share(omega_rad_s) <= FIRST_SHARE;
             let is_better = |(cost, omega): &(f64, f64)| {
                 *cost <= present / MUCH
-                    || *omega > omega_rad_s && *cost <= NEARLY * present && share(*omega) > FIRST_SHARE
+                    || goes_by_higher
+                        && *omega > omega_rad_s
+                        && *cost <= NEARLY * present
+                        && share(*omega) > FIRST_SHARE
             };
             let minima: Vec<(f64, f64)> = minima.into_iter().filter(is_better).collect();
             let omega = chosen(&minima, share)?;
