@@ -197,7 +197,8 @@ def main() -> None:
     print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
     print(table(system, periods_known=known))
     error = 100.0 * np.linalg.norm(system.earth - earth / semi_major(earth), axis=1)
-    print(f"path of the Earth: {np.sqrt(np.mean(error**2)):.3f} % of its semi-major axis, rms; median {np.median(error):.3f} %")
+    rms, median = np.sqrt(np.mean(error**2)), np.median(error)
+    print(f"path of the Earth: {rms:.3f} % of its semi-major axis, rms; median {median:.3f} %")
     if arguments.picture:
         draw(system, arguments.picture)
 

@@ -128,7 +128,7 @@ def sun_and_planets(noise_rad: float, *, since_s: float = 0.0, n_views: int = 15
 @pytest.mark.parametrize("noise_rad", [0.0, 3e-4])
 @pytest.mark.parametrize("since_s", [0.0, 1.7e9])
 def test_periods_about_a_sun(noise_rad: float, since_s: float) -> None:
-    """Ellipses need several harmonics; no period is twice or half of what it should be, whatever time is counted from."""
+    """Ellipses need several harmonics; no period is twice or half as long, whatever time is counted from."""
     tracks, omega, observer = sun_and_planets(noise_rad, since_s=since_s)
     scene = solved(tracks, 1, [pp.Fourier(order) for order in (6, 2, 4, 3)])
     assert scene.summary.status.value == "converged"
