@@ -309,7 +309,7 @@ def planets() -> str:
     rows = []
     for label, noise_rad in (("exact", 0.0), ("an arc minute off", program.NOISE_RAD)):
         tracks, earth = program.observe(noise_rad)
-        unit = program.semi_major(np.linalg.norm(earth, axis=1))
+        unit = program.semi_major(earth)
         for how, known in (("given", True), ("found", False)):
             begin = time.perf_counter()
             try:

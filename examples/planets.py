@@ -88,9 +88,22 @@ def solve(tracks: pp.Tracks, *, periods_known: bool) -> pp.Scene:
     return pp.solve_positions(tracks, motion=pp.Motion(tracks=forms, static=("Sun",)))
 
 
-def semi_major(distance: Float) -> float:
-    """Half the sum of the least and the largest distance from the Sun."""
-    return float(0.5 * (distance.min() + distance.max()))
+def semi_major(path: Float) -> float:
+    """Semi-major axis of the ellipse about the Sun (at zero) that places (n, 3) lie on, by least absolute errors.
+
+    With a focus at zero an ellipse is linear: ``1 / r = (1 + e cos(angle)) / p``. The extremes of the distance would be
+    those of the worst views.
+    """
+    path = path[np.isfinite(path).all(axis=1)]
+    distance = np.linalg.norm(path, axis=1)
+    plane = np.linalg.svd(path, full_matrices=False)[2][:2]
+    design = np.column_stack((np.ones_like(distance), path @ plane.T / distance[:, None]))
+    weight = np.ones_like(distance)
+    for _ in range(20):
+        conic = np.linalg.lstsq(design * weight[:, None], weight / distance, rcond=None)[0]
+        off = np.abs(design @ conic - 1.0 / distance)
+        weight = 1.0 / np.sqrt(np.maximum(off, np.median(off) + np.finfo(float).tiny))
+    return float(conic[0] / (conic[0] ** 2 - conic[1] ** 2 - conic[2] ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +117,7 @@ class SolarSystem:
 
     def axis(self, name: str) -> float:
         """Semi-major axis of a planet."""
-        return semi_major(np.linalg.norm(self.planets[name], axis=1))
+        return semi_major(self.planets[name])
 
 
 def placed(scene: pp.Scene, tracks: pp.Tracks) -> SolarSystem:
@@ -112,7 +125,7 @@ def placed(scene: pp.Scene, tracks: pp.Tracks) -> SolarSystem:
     paths = scene.paths
     assert paths is not None
     sun = scene.points[0]
-    unit = semi_major(np.linalg.norm(scene.centers - sun, axis=1))
+    unit = semi_major(scene.centers - sun)
     planets, periods = {}, {}
     for name in PLANETS:
         track = tracks.track_labels().index(name)
@@ -183,8 +196,9 @@ def main() -> None:
     assert scene.paths is not None
     print(f"{tracks!r}: {scene.summary.status.value}; {scene.paths.assumption}")
     print(table(system, periods_known=known))
-    error = np.linalg.norm(system.earth - earth / semi_major(np.linalg.norm(earth, axis=1)), axis=1)
-    print(f"path of the Earth: {100.0 * np.sqrt(np.mean(error**2)):.3f} % of its semi-major axis, rms")
+    error = 100.0 * np.linalg.norm(system.earth - earth / semi_major(earth), axis=1)
+    rms, median = np.sqrt(np.mean(error**2)), np.median(error)
+    print(f"path of the Earth: {rms:.3f} % of its semi-major axis, rms; median {median:.3f} %")
     if arguments.picture:
         draw(system, arguments.picture)
 

@@ -699,6 +699,7 @@ fn eliminate_points<const D: usize, const V: usize, F: Freedoms<D, V>>(
 }
 
 /// Eliminates the vectors of a point that moves: as many rows as it has unknowns, in groups of `D` as a point at rest has.
+#[inline(always)]
 #[allow(clippy::too_many_arguments)]
 fn eliminate_course<const D: usize, const V: usize, F: Freedoms<D, V>>(
     part: &Part<D>,
@@ -716,37 +717,31 @@ fn eliminate_course<const D: usize, const V: usize, F: Freedoms<D, V>>(
     if course.assemble::<D>(part.course(j), &sums.scratch.models) && course.factorise(point_damping) {
         course.solve_forward();
         let n_groups = course.len().div_ceil(D);
-        for group in 0..n_groups {
-            sums.scratch.rows.clear();
-            sums.scratch.nodes.clear();
-            for (k, o) in part.observations(j).enumerate() {
-                let node = part.node_of(o);
-                let (rows, right) = observation_rows::<D>(&course, k, group);
-                let slot = node as usize - sums.nodes.start;
-                let mut lifted = [F::Row::ZERO; D];
-                for r in 0..D {
-                    lifted[r] = freedoms.lift(o, j, &rows[r]);
-                }
-                sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &right));
-                if group == 0 {
-                    let model = &sums.scratch.models[k];
-                    let at = locator.find(pattern, node as usize, node as usize) - sums.blocks.start;
-                    add_own::<D, V, F>(freedoms, o, j, &model.rows(), &mut sums.block[at], &mut sums.diagonal[slot]);
-                    let pull = model.gradient.times(-1.0);
-                    sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &pull));
-                }
-                if sums.scratch.nodes.last() == Some(&node) {
-                    let last = sums.scratch.rows.len() - 1;
-                    for r in 0..D {
-                        sums.scratch.rows[last][r] = sums.scratch.rows[last][r].plus(&lifted[r]);
-                    }
-                } else {
-                    sums.scratch.rows.push(lifted);
-                    sums.scratch.nodes.push(node);
-                }
+        sums.scratch.rows.clear();
+        sums.scratch.nodes.clear();
+        for (k, o) in part.observations(j).enumerate() {
+            let node = part.node_of(o);
+            let slot = node as usize - sums.nodes.start;
+            let model = &sums.scratch.models[k];
+            let at = locator.find(pattern, node as usize, node as usize) - sums.blocks.start;
+            add_own::<D, V, F>(freedoms, o, j, &model.rows(), &mut sums.block[at], &mut sums.diagonal[slot]);
+            let mut pull = model.gradient.times(-1.0);
+            if sums.scratch.nodes.last() != Some(&node) {
+                let length = sums.scratch.rows.len();
+                sums.scratch.rows.resize(length + n_groups, [F::Row::ZERO; D]);
+                sums.scratch.nodes.push(node);
             }
-            subtract_products(pattern, locator, sums);
+            let first = sums.scratch.rows.len() - n_groups;
+            for (group, own) in sums.scratch.rows[first..].iter_mut().enumerate() {
+                let (rows, right) = observation_rows::<D>(&course, k, group);
+                for (own, row) in own.iter_mut().zip(&rows) {
+                    *own = own.plus(&freedoms.lift(o, j, row));
+                }
+                pull = pull.plus(&right);
+            }
+            sums.rhs[slot] = sums.rhs[slot].plus(&freedoms.lift(o, j, &pull));
         }
+        subtract_courses(pattern, locator, sums, n_groups);
     }
     sums.scratch.course = course;
 }
@@ -853,6 +848,31 @@ fn subtract_products<const D: usize, const V: usize, R: Row>(
                 }
                 block[r] = sum;
             }
+        }
+    }
+}
+
+/// The same for a point with several groups of rows; a block is fetched once for all of them.
+#[inline(always)]
+fn subtract_courses<const D: usize, const V: usize, R: Row>(
+    pattern: &BlockPattern,
+    locator: &Locator,
+    sums: &mut Accumulator<D, V, R>,
+    n_groups: usize,
+) {
+    let Scratch { rows, nodes, .. } = &sums.scratch;
+    for (i, (own, &row)) in rows.chunks_exact(n_groups).zip(nodes).enumerate() {
+        for (others, &column) in rows[..(i + 1) * n_groups].chunks_exact(n_groups).zip(nodes) {
+            let block = &mut sums.block[locator.find(pattern, row as usize, column as usize) - sums.blocks.start];
+            let mut sum = *block;
+            for (a, b) in own.iter().zip(others) {
+                for (r, sum) in sum.iter_mut().enumerate() {
+                    for c in 0..D {
+                        *sum = sum.plus_scaled(-a[c].at(r), &b[c]);
+                    }
+                }
+            }
+            *block = sum;
         }
     }
 }

@@ -9,7 +9,7 @@
 //! by re-weighted least squares. As a sum of lengths, not of squares, it has most tracks exactly at rest where most can be.
 
 use super::basis::Form;
-use super::freedoms::{FreedomOptions, MovingScene, NullVector, freedoms_of_paths};
+use super::freedoms::{FreedomKind, FreedomOptions, MovingScene, NullVector, freedoms_of_paths};
 use super::options::{Assumption, PathError};
 use super::{Found, Input};
 use crate::bundle::part::Lanes;
@@ -77,7 +77,7 @@ impl<const D: usize> Input<'_, D> {
         Ok(true)
     }
 
-    /// Null vectors beyond the gauge that are not of single tracks.
+    /// Null vectors beyond the gauge that are not of single tracks or views.
     fn shared_freedoms(&self, found: &Found<D>) -> Result<Vec<NullVector<D>>, PathError> {
         let (mut view, mut track, mut coefficients, mut forms) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (t, fit) in found.fits.iter().enumerate() {
@@ -105,7 +105,9 @@ impl<const D: usize> Input<'_, D> {
         };
         let options = FreedomOptions { sigma_rad: found.structure.summary.sigma_rad, ..FreedomOptions::default() };
         let certificate = freedoms_of_paths(&scene, &options).map_err(|error| PathError::Option(error.to_string()))?;
-        Ok(certificate.freedoms.into_iter().flat_map(|freedom| freedom.vectors).collect())
+        // a view that hangs loose moves nothing else: it is told of, and the rest stands
+        let shared = certificate.freedoms.into_iter().filter(|freedom| freedom.kind != FreedomKind::LooseView);
+        Ok(shared.flat_map(|freedom| freedom.vectors).collect())
     }
 }
 

@@ -93,6 +93,7 @@ impl<const D: usize> State<D> {
             let form = &self.forms[j];
             let k = form.len();
             let mut slope = vec![0.0; k];
+            let (middle, half) = self.seen(given, j);
             for o in part.observations(j) {
                 courses.first.push(courses.values.len() as u32);
                 let time = given.time_s[part.view[o] as usize];
@@ -102,10 +103,10 @@ impl<const D: usize> State<D> {
                 if has_bends {
                     let mut bend = Lanes::ZERO;
                     if let (true, Form::Fourier { omega_rad_s, .. }) = (courses.is_bent(j), form) {
-                        // a harmonic depends on omega t alone
+                        // a harmonic depends on omega (t - middle) and on its phase there
                         form.values(time, 1, &mut slope);
                         let own = &self.vectors[courses.vectors(j)];
-                        let rate = time / omega_rad_s;
+                        let rate = (time - middle) / (half * omega_rad_s);
                         bend = slope.iter().zip(own).fold(bend, |sum, (b, p)| sum.plus_scaled(rate * b, p));
                     }
                     courses.bends.push(bend);
@@ -113,6 +114,33 @@ impl<const D: usize> State<D> {
             }
         }
         self.part.courses = Arc::new(courses);
+    }
+
+    /// Middle of the time that a track was seen, and half of its length.
+    fn seen(&self, given: &Given<'_, D>, j: usize) -> (f64, f64) {
+        let times = self.part.observations(j).map(|o| given.time_s[self.part.view[o] as usize]);
+        let [first, last] = times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)]);
+        let half = 0.5 * (last - first);
+        (0.5 * (first + last), if half > 0.0 { half } else { 1.0 })
+    }
+
+    /// Changes the frequency of a path by `change` radians in half of the time that it was seen; in the middle of that it
+    /// stays where it is.
+    fn bend(&mut self, given: &Given<'_, D>, j: usize, change: f64) {
+        let (middle, half) = self.seen(given, j);
+        let own = self.part.courses.vectors(j);
+        let Some(Form::Fourier { omega_rad_s, .. }) = Arc::make_mut(&mut self.forms).get_mut(j) else { return };
+        let before = *omega_rad_s;
+        // a frequency keeps its sign, and its size to within half
+        *omega_rad_s *= (1.0 + change / (half * before)).clamp(0.5, 2.0);
+        let turn = (*omega_rad_s - before) * middle;
+        for (l, pair) in
+            self.vectors[own].get_mut(1..).unwrap_or_default().as_chunks_mut::<2>().0.iter_mut().enumerate()
+        {
+            let (sin, cos) = ((l + 1) as f64 * turn).sin_cos();
+            let [even, odd] = *pair;
+            *pair = [even.times(cos).plus_scaled(-sin, &odd), even.times(sin).plus_scaled(cos, &odd)];
+        }
     }
 
     /// Poses after a step of `V` unknowns a view; points and paths stay.
@@ -224,22 +252,16 @@ impl<const D: usize, const V: usize> Problem for Bodies<'_, D, V> {
         let moving: Vec<usize> = (0..part.n_tracks()).filter(|&j| part.courses.moves(j)).collect();
         let steps: Vec<Vec<f64>> =
             moving.par_iter().with_min_len(16).map(|&j| path_step(&weights, j, &follow, damping)).collect();
-        let mut forms = None;
         for (&j, x) in moving.iter().zip(&steps) {
             let own = part.courses.vectors(j);
             for (vector, change) in next.vectors[own.clone()].iter_mut().zip(vectors_of::<D>(x, own.len())) {
                 *vector = vector.plus(&change);
             }
-            if part.courses.is_bent(j) {
-                let list: &mut Vec<Form> = forms.get_or_insert_with(|| state.forms.to_vec());
-                if let (Form::Fourier { omega_rad_s, .. }, Some(change)) = (&mut list[j], x.last()) {
-                    // a frequency keeps its sign, and its size to within half
-                    *omega_rad_s *= (1.0 + change / *omega_rad_s).clamp(0.5, 2.0);
-                }
+            if let (true, Some(change)) = (part.courses.is_bent(j), x.last()) {
+                next.bend(given, j, *change);
             }
         }
-        if let Some(forms) = forms {
-            next.forms = Arc::new(forms);
+        if part.courses.is_bent.contains(&true) {
             next.lay_courses(given);
         }
         let moved_costs: Vec<f64> =
@@ -253,10 +275,6 @@ impl<const D: usize, const V: usize> Problem for Bodies<'_, D, V> {
 
     fn accept(&mut self, (state, costs): Self::Candidate, cost: f64) {
         *self.state = state;
-        // what bends a path has moved with it
-        if self.state.part.courses.is_bent.contains(&true) {
-            self.state.lay_courses(self.given);
-        }
         (self.costs, self.cost) = (costs, cost);
     }
 }

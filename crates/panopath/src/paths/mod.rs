@@ -67,7 +67,9 @@ pub fn solve_paths<const D: usize, const V: usize>(
     const { assert!((D == 2 || D == 3) && V == D * (D + 1) / 2) }
     check(tracks, time_s, motion, options)?;
     let mut input = Input::new(tracks, time_s, cam_from_world, motion, options);
-    let mut found = match input.cameras_of_tracks_at_rest()? {
+    let at_rest = input.cameras_of_tracks_at_rest()?;
+    let of_rest = at_rest.is_some();
+    let mut found = match at_rest {
         Some(structure) => {
             input.find_frequencies(&structure.0);
             input.choose_in_turns(structure)?
@@ -81,6 +83,9 @@ pub fn solve_paths<const D: usize, const V: usize>(
     };
     if input.moves_jointly(&found) {
         input.solve_jointly::<V>(&mut found)?;
+        if !of_rest && (input.look_again(&mut found) | input.find_lost(&mut found)) {
+            input.solve_jointly::<V>(&mut found)?;
+        }
         input.choose_again(&mut found);
     }
     let resolved = input.resolve_freedoms(&mut found)?;
