@@ -6,14 +6,12 @@ import csv
 import importlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import panopath as pp
 import pytest
-from panopath.cli import main
 from panopath.paper import (
     EXPERIMENTS,
     Experiment,
@@ -35,6 +33,7 @@ from panopath.paper.moving_scenes import FORMS, draw_hidden, draw_moving
 from panopath.paper.scenes import certified_freedoms, dense_freedoms, disturbed, null_vector, rays, slope, truth_of
 from panopath.paper.theorem_scenes import KINDS
 from panopath.paths import Static
+from test_cli import Run, run
 
 #: Trials that each experiment runs with here: enough for its verdicts.
 TRIALS = {"cameras": 1, "counting": 1, "theorems": 4, "visibility": 2, "moving": 1, "mean-motion": 1}
@@ -49,31 +48,7 @@ VERDICTS = {
 }
 LETTER = {Verdict.AGREES: "a", Verdict.IN_PART: "p", Verdict.CORRECTED: "c"}
 
-Run = Callable[..., "Ran"]
-
-
-@dataclass(frozen=True)
-class Ran:
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def call(*arguments: str) -> Ran:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main(list(arguments))
-        printed = capsys.readouterr()
-        assert "Traceback" not in printed.err
-        return Ran(int(ended.value.code or 0), printed.out, printed.err)
-
-    return call
+__all__ = ["run"]
 
 
 @pytest.fixture
