@@ -342,6 +342,18 @@ def fit_similarity(source: Float, target: Float) -> tuple[float, Float, Float]:
     return _fit(source, target, "similarity")
 
 
+def fit_shift_and_scale(source: Float, target: Float) -> tuple[float, Float]:
+    """Scale and shift (d,) of the best ``target = scale * source + shift``, never a negative scale.
+
+    Parameters
+    ----------
+    source, target
+        (n, d) positions.
+    """
+    scale, _, shift = _fit(source, target, "translation_scale")
+    return scale, shift
+
+
 def _fit(source: Float, target: Float, alignment: str) -> tuple[float, Float, Float]:
     """Least squares scale, rotation and shift (Umeyama 1991); without rotation for ``translation_scale``."""
     d = source.shape[1]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from panopath.cli.app import AsJson, NoPlots, Quiet, Terminal
+from panopath.cli.reconstruct import progress
 from panopath.errors import InputError
 from panopath.paper import EXPERIMENTS, Record, Settings, run_experiment, write_summary
 
@@ -48,8 +47,8 @@ def paper_command(
     settings = Settings(seed, trials, threads)
     records = []
     for name in chosen:
-        with _bar(terminal, name) as progress:
-            records.append(run_experiment(EXPERIMENTS[name], out, settings, progress, draws=not no_plots))
+        with progress(terminal, transient=True) as report:
+            records.append(run_experiment(EXPERIMENTS[name], out, settings, partial(report, name), draws=not no_plots))
         terminal.note(f"{name}: {records[-1].n_trials:,} trials, {records[-1].wall_s:.1f} s")
     page = write_summary(records, out)
     plain = {"experiments": [record.to_dict() for record in records], "out": str(out)}
@@ -62,25 +61,6 @@ def _list(console: Console) -> None:
         table.add_row(name, one.section, one.title)
     console.print(table)
     console.print(f"panopath paper EXPERIMENT -o OUT; {_ALL} runs every one")
-
-
-@contextlib.contextmanager
-def _bar(terminal: Terminal, name: str) -> Iterator[Any]:
-    """Progress on standard error, where someone watches."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    if terminal.quiet or terminal.as_json or not console.is_terminal:
-        yield None
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bars:
-        task = bars.add_task(name, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
 
 
 def _show(console: Console, records: list[Record], page: Path) -> None:

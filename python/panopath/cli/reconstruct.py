@@ -126,8 +126,8 @@ def run(
 
 
 @contextlib.contextmanager
-def progress(terminal: Terminal) -> Iterator[Report]:
-    """Show a bar for each stage; on a stream that is no terminal nothing."""
+def progress(terminal: Terminal, *, transient: bool = False) -> Iterator[Report]:
+    """Show a bar for each stage, taken away at the end where ``transient``; on a stream that is no terminal nothing."""
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     if terminal.quiet or terminal.as_json or not console.is_terminal:
         yield lambda _stage, _done, _of: None
@@ -140,7 +140,7 @@ def progress(terminal: Terminal) -> Iterator[Report]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as bars:
+    with Progress(*columns, console=console, transient=transient) as bars:
         tasks: dict[str, TaskID] = {}
 
         def finish() -> None:

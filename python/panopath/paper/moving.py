@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from panopath.counting import CameraModel, PathBasis
-from panopath.evaluate import evaluate
+from panopath.evaluate import evaluate, fit_shift_and_scale
 from panopath.freedoms import Reach
-from panopath.model import Float, PositionOptions
+from panopath.model import PositionOptions
 from panopath.paper.experiment import Experiment, Outcome, Picture, Progress, Settings, Statement, Table, Verdict
 from panopath.paper.generic_rank import extra_freedoms
 from panopath.paper.moving_scenes import FORMS, MovingScene, draw_hidden, draw_moving
@@ -100,8 +100,9 @@ def _noise_table(settings: Settings, trials: int) -> Table:
                 scene = exact.noisy(noise, errors) if noise else exact
                 found = (_WAYS[1], *_errors(scene, settings.threads))
                 rows.append((d, form, mix, trial, noise, *found))
-            off = _fitted(exact.linear_centers(), exact.centers) - exact.centers
-            linear = rms(np.linalg.norm(off, axis=1))
+            found_linearly = exact.linear_centers()
+            scale, shift = fit_shift_and_scale(found_linearly, exact.centers)
+            linear = rms(np.linalg.norm(scale * found_linearly + shift - exact.centers, axis=1))
             rows.append((d, form, mix, trial, 0.0, _WAYS[0], linear, np.nan))
     return Table.of(("dimension", "form", "mix", "trial", "noise_rad", "way", "view_rms", "body_rms"), rows)
 
@@ -118,12 +119,6 @@ def _errors(scene: MovingScene, threads: int) -> tuple[float, float]:
         return np.nan, np.nan
     compared = evaluate(found, scene.truth(), "translation_scale")
     return compared.camera_rms, rms(compared.point_error[len(scene.static) :])
-
-
-def _fitted(found: Float, truth: Float) -> Float:
-    """Shift and scale onto the truth, least squares."""
-    a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
-    return np.asarray(truth.mean(axis=0) + a * (a * b).sum() / (a * a).sum())
 
 
 def _noise_statements(table: Table) -> list[Statement]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from panopath.cameras import bearings_from_spherical, spherical_from_bearings
+from panopath.evaluate import fit_shift_and_scale
 from panopath.model import Float, Tracks
 from panopath.paper.trials import SOLVERS, Int64, median, rms, trial_seeds
 from panopath.steps.positions import solve_positions
@@ -89,6 +90,5 @@ def _displacement(found: Float, truth: Float) -> Float:
     known = np.isfinite(found).all(axis=1)
     if not known.any():
         return np.full_like(truth, np.nan)
-    a, b = found - found[known].mean(axis=0), truth - truth[known].mean(axis=0)
-    scale = (a[known] * b[known]).sum() / (a[known] ** 2).sum()
-    return np.asarray(scale * a - b)
+    scale, shift = fit_shift_and_scale(found[known], truth[known])
+    return scale * found + shift - truth

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from panopath.counting import CameraModel, RequiredVisibility
+from panopath.evaluate import fit_shift_and_scale
 from panopath.model import Bool, Float, PositionOptions, Scene, Tracks
 from panopath.paper.experiment import Experiment, Outcome, Picture, Progress, Settings, Statement, Table, Verdict
 from panopath.paper.generic_rank import extra_freedoms
@@ -346,10 +347,8 @@ def _onto(found: Float, placed: Float, both: Bool) -> Float | None:
     """Shift and scale what was found onto what is placed, by least squares; None with less than two places shared."""
     if both.sum() < 2:
         return None
-    a, b = found[both], placed[both]
-    a_middle, b_middle = a.mean(axis=0), b.mean(axis=0)
-    scale = float(((a - a_middle) * (b - b_middle)).sum() / ((a - a_middle) ** 2).sum())
-    return np.asarray(b_middle + scale * (found - a_middle))
+    scale, shift = fit_shift_and_scale(found[both], placed[both])
+    return scale * found + shift
 
 
 def _errors(centers: Float, truth: Float) -> tuple[float, int]:

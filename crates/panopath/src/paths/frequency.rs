@@ -45,8 +45,17 @@ const FINE_REACH: f64 = 0.125;
 impl<const D: usize> Input<'_, D> {
     /// Tracks whose frequency is sought and not found yet.
     pub(super) fn without_frequency(&self) -> Vec<usize> {
-        let lacks = |form: &Option<Form>| form.as_ref().is_some_and(|form| !has_frequency(form));
-        (0..self.forms.len()).filter(|&t| lacks(&self.forms[t])).collect()
+        (0..self.forms.len()).filter(|&t| lacks_frequency(&self.forms[t])).collect()
+    }
+
+    /// Tracks whose frequency the caller did not say, found since or not.
+    fn sought(&self) -> impl Iterator<Item = usize> {
+        (0..self.forms.len()).filter(|&t| lacks_frequency(&self.motion.forms[t]))
+    }
+
+    /// Harmonics that a track may have.
+    fn order(&self, track: usize) -> usize {
+        self.forms[track].as_ref().map_or(1, Form::len) / 2
     }
 
     /// Fills in the frequencies that tracks show by themselves, cameras known.
@@ -60,10 +69,9 @@ impl<const D: usize> Input<'_, D> {
         let cost = |(track, seen): &(usize, Sightings), omega: f64, noise: f64| {
             self.forms[*track].as_ref().map_or(f64::INFINITY, |form| cost::<D>(seen, form, omega, noise, sigma))
         };
-        let order = |track: usize| self.forms[track].as_ref().map_or(1, Form::len) / 2;
         let search = |group: &[(usize, Sightings)]| {
             let times: Vec<f64> = group.iter().flat_map(|(_, seen)| seen.time_s.iter().copied()).collect();
-            let highest = group.iter().map(|(t, _)| order(*t)).max()?;
+            let highest = group.iter().map(|(t, _)| self.order(*t)).max()?;
             let total = |omega: f64, noise: f64| group.iter().map(|one| cost(one, omega, noise)).sum::<f64>();
             let grid = Grid::over(times, highest)?;
             let minima = grid.minima(&|omega| total(omega, COARSE_RAD));
@@ -75,8 +83,7 @@ impl<const D: usize> Input<'_, D> {
             let first = |omega: f64| {
                 let shares = group.iter().filter_map(|(t, seen)| {
                     let form = with_frequency(self.forms[*t].as_ref()?, omega);
-                    let found = fit::<D>(seen, &form, FINE_RAD.max(sigma))?;
-                    Some(first_share(found.vectors.iter().map(|p| p.dot::<D>(p))))
+                    fit::<D>(seen, &form, FINE_RAD.max(sigma)).map(|path| first_share::<D>(&path))
                 });
                 shares.fold(f64::INFINITY, f64::min)
             };
@@ -96,8 +103,7 @@ impl<const D: usize> Input<'_, D> {
         let known = |&t: &usize| matches!(self.forms[t], Some(Form::Static));
         let anchor = (0..self.forms.len()).filter(known).max_by_key(|&t| self.observations(t).len());
         let Some(anchor) = anchor.filter(|_| D == 3) else { return };
-        let order = |t: usize| self.forms[t].as_ref().map_or(1, Form::len) / 2;
-        let of = |t: usize| (t, Beside::new(self, anchor, t), order(t));
+        let of = |t: usize| (t, Beside::new(self, anchor, t), self.order(t));
         let seen: Vec<(usize, Beside, usize)> = self.without_frequency().into_iter().map(of).collect();
         let seen: Vec<(usize, Beside, usize)> = seen.into_iter().filter(|(_, b, order)| b.suffices(*order)).collect();
         let found: Vec<(usize, f64)> = if self.motion.common_frequency {
@@ -118,7 +124,6 @@ impl<const D: usize> Input<'_, D> {
             return false;
         }
         let sigma = found.structure.summary.sigma_rad.max(SIGMA_FLOOR_RAD);
-        let sought = |t: &usize| self.motion.forms[*t].as_ref().is_some_and(|form| !has_frequency(form));
         let again = |t: usize| -> Option<(usize, Option<Fit>)> {
             let Form::Fourier { omega_rad_s, .. } = found.fits[t].as_ref()?.form else { return None };
             let form = self.motion.forms[t].as_ref()?;
@@ -133,9 +138,9 @@ impl<const D: usize> Input<'_, D> {
             let minima: Vec<(f64, f64)> = tried.filter(|omega| *omega > 8.0 * reach).map(near).collect();
             let present = near(omega_rad_s).0;
             let path = |omega: f64| fit::<D>(&seen, &with_frequency(form, omega), FINE_RAD.max(sigma));
-            let share =
-                |omega: f64| path(omega).map_or(0.0, |fit| first_share(fit.vectors.iter().map(|p| p.dot::<D>(p))));
-            // a multiple must go by its first harmonic where this one does not; cameras lean on what was found, so others must do much better
+            let share = |omega: f64| path(omega).map_or(0.0, |path| first_share::<D>(&path));
+            // a multiple must go by its first harmonic where this one does not; cameras lean on what was found, so others
+            // must do much better
             let goes_by_higher = share(omega_rad_s) <= FIRST_SHARE;
             let is_better = |(cost, omega): &(f64, f64)| {
                 *cost <= present / MUCH
@@ -149,7 +154,7 @@ impl<const D: usize> Input<'_, D> {
             let is_another = (omega - omega_rad_s).abs() > 2.0 * reach;
             is_another.then(|| (t, fit::<D>(&seen, &with_frequency(form, omega), sigma).or_else(|| path(omega))))
         };
-        let other: Vec<(usize, Option<Fit>)> = (0..self.forms.len()).filter(sought).filter_map(again).collect();
+        let other: Vec<(usize, Option<Fit>)> = self.sought().filter_map(again).collect();
         let is_any = !other.is_empty();
         other.into_iter().for_each(|(t, fit)| found.fits[t] = fit);
         is_any
@@ -158,10 +163,8 @@ impl<const D: usize> Input<'_, D> {
     /// Gives up the frequencies of tracks that hardly anything agrees with now that cameras are known, and looks for others
     /// there. True where any is found.
     pub(super) fn find_lost(&mut self, found: &mut Found<D>) -> bool {
-        let sought = |t: &usize| self.motion.forms[*t].as_ref().is_some_and(|form| !has_frequency(form));
         let is_lost = |fit: &Fit| (fit.n_kept() as f64) < LOST_SHARE * fit.keep.len() as f64;
-        let lost: Vec<usize> =
-            (0..self.forms.len()).filter(sought).filter(|&t| found.fits[t].as_ref().is_none_or(is_lost)).collect();
+        let lost: Vec<usize> = self.sought().filter(|&t| found.fits[t].as_ref().is_none_or(is_lost)).collect();
         if lost.is_empty() || self.motion.common_frequency {
             return false;
         }
@@ -192,6 +195,10 @@ fn cost<const D: usize>(seen: &Sightings, form: &Form, omega: f64, noise: f64, s
 /// Is a form one whose frequency is known, or that has none?
 pub(super) fn has_frequency(form: &Form) -> bool {
     !matches!(form, Form::Fourier { omega_rad_s, .. } if omega_rad_s.is_nan())
+}
+
+fn lacks_frequency(form: &Option<Form>) -> bool {
+    form.as_ref().is_some_and(|form| !has_frequency(form))
 }
 
 fn with_frequency(form: &Form, omega: f64) -> Form {
@@ -274,9 +281,9 @@ fn chosen(minima: &[(f64, f64)], first: impl Fn(f64) -> f64) -> Option<f64> {
     Some(near.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or(best).1)
 }
 
-/// Share of the first harmonic, of the squared lengths of all vectors.
-fn first_share(squared: impl Iterator<Item = f64>) -> f64 {
-    let harmonics: Vec<f64> = squared.skip(1).collect();
+/// Share of the first harmonic, of the squared lengths of the vectors of all harmonics.
+fn first_share<const D: usize>(path: &Fit) -> f64 {
+    let harmonics: Vec<f64> = path.vectors.iter().skip(1).map(|p| p.dot::<D>(p)).collect();
     harmonics.iter().take(2).sum::<f64>() / harmonics.iter().sum::<f64>().max(f64::MIN_POSITIVE)
 }
 
